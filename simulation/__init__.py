@@ -1,4 +1,4 @@
-"""The cell that is not there: physics of the held object, imprints of the gel, the real protocols on loopback."""
+"""The simulated cell: physics of the held object, gel imprints, and the real protocols on loopback."""
 
 from pathlib import Path
 

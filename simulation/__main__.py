@@ -9,41 +9,41 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("run:run", "cell, service and robot client insert an object in real time"),
     "demo": ("run:demo", "a simulated cell at work, with its page, until Ctrl-C"),
     "cell": ("cell:cell", "the cell in real time: robot, gripper, cameras, truth"),
-    "evaluate": ("evaluate:main", "every world with every object in lock step: rows, JSON"),
+    "evaluate": ("evaluate:main", "play every world with every object in lock step: rows, JSON"),
     "drawn-worlds": ("drawn_worlds:main", "drawn worlds with drawn objects in lock step, all variants"),
     "sealed": (
         "drawn_worlds:sealed",
         "the sealed test: worlds drawn from the release's bytes",
     ),
     "commission": ("commission:main", "cells that probe, adapt and learn from work, world by world"),
-    "scene": ("commission:scene", "what a cell's presses tell of its gel, as a world file"),
+    "scene": ("commission:scene", "identify a cell's gel from its presses, as a world file"),
     "trust": ("trust:main", "claims under adversity: faults, drawn worlds, objects, starts"),
     "explain": ("explain:explain", "which effects a scene calls for, why, and what each costs"),
     "probe": ("probe:probe", "one descent, printed or saved as a picture or video"),
     "imprint": ("probe:imprint", "what the sensor records, object by object, as one picture"),
-    "draw-worlds": ("drawn_worlds:draw_worlds", "worlds that nobody trained for, as files"),
+    "draw-worlds": ("drawn_worlds:draw_worlds", "drawn worlds outside the training set, as files"),
     "draw-objects": ("drawn_worlds:draw_objects", "random convex objects as files"),
     "collect": ("dataset:collect", "poke on all cores and keep the collisions as a dataset"),
     "export-dataset": ("dataset:export_dataset", "trials as a LeRobot v3.0 dataset"),
     "slip-report": ("slip:slip_report", "how well slip is detected, and the cost: table, JSON"),
     "grasps": ("slip:real_grasps", "recorded grasps of real objects, judged: table run by run"),
-    "motion-bounds": ("cell:motion_bounds", "how far the arm goes on after nobody looks, live"),
+    "motion-bounds": ("cell:motion_bounds", "overtravel of the arm after live faults, with bounds"),
     "hard-probes": ("physics:hard_probes", "10,000 random hard contacts: solved, lost or refused by name"),
     "foreign-check": ("physics:foreign_check", "the foreign cell's finite elements beside CalculiX: table, JSON"),
-    "pace": ("pace:main", "what the client's settings cost in seconds a box"),
+    "pace": ("pace:main", "what the client's settings cost in seconds per box"),
     "choose": ("pace:choose", "the client's settings for a time, success and force, as a file"),
     "accuracy": ("physics:accuracy", "what physics accuracy costs in time: table, JSON, plot"),
 }
 
 
 def usage() -> str:
-    """One line a command."""
+    """One line per command."""
     lines = ["usage: python -m simulation COMMAND [--help]", ""]
     return "\n".join(lines + [f"  {name:<14} {text}" for name, (_, text) in COMMANDS.items()])
 
 
 def _refuse_negative_seed(words: list[str]) -> None:
-    """Every command that draws takes --seed; numpy's own refusal names no option."""
+    """Refuse a negative --seed by name; every command that draws takes one, and numpy's own error names no option."""
     for word, value in zip(["", *words], [*words, ""], strict=True):
         seed = value.removeprefix("--seed=") if value.startswith("--seed=") else value if word == "--seed" else ""
         if re.fullmatch(r"-\d+", seed):
@@ -51,7 +51,7 @@ def _refuse_negative_seed(words: list[str]) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command. Exit status 2 with one line when the input was wrong."""
+    """Run one command. Exits with status 2 and one line on invalid input."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in {"-h", "--help"}:
         print(usage())

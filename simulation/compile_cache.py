@@ -1,7 +1,7 @@
-"""Where numba keeps what it compiled of this package: a folder for every state of the compiled sources.
+"""Numba's cache for this package: one folder for every state of the compiled sources.
 
-Numba looks at the file of the function it loads, not at those of the functions that are compiled into it: after an
-update, a caller that did not change would go on with the old physics.
+Numba checks only the file of the function that it loads, not those of the functions compiled into it. After an update,
+an unchanged caller would keep the old physics.
 """
 
 import hashlib
@@ -12,7 +12,7 @@ VARIABLE = "NUMBA_CACHE_DIR"
 
 
 def state_of(package: Path) -> str:
-    """Name of the folder for the sources in ``package`` as they are now; files that compile nothing do not matter."""
+    """Name of the folder for the present sources in ``package``; files that compile nothing do not count."""
     digest = hashlib.sha256()
     for path in sorted(package.rglob("*.py")):
         source = path.read_bytes()
@@ -22,8 +22,8 @@ def state_of(package: Path) -> str:
 
 
 def keep_apart(package: Path) -> None:
-    """Tell numba, before it is imported: a folder inside the one the environment names, else in ``__pycache__``."""
+    """Set numba's cache, before its import, to a folder inside the environment's one, else in ``__pycache__``."""
     state, named = state_of(package), os.environ.get(VARIABLE)
     base = Path(named) if named else package / "__pycache__"
-    if base.name != state:  # the environment of a child process names it already
+    if base.name != state:  # a child process inherits it in its environment
         os.environ[VARIABLE] = str(base / state)

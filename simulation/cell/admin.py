@@ -1,4 +1,4 @@
-"""The cell's own HTTP port: truth and faults. No device has this; tests and the report do."""
+"""The cell's own HTTP port: ground truth and faults. No real device has it; tests and the report do use it."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,7 +13,7 @@ def create_admin(
     readings: dict[str, Callable[[], Any]],
     board: FaultBoard,
 ) -> FastAPI:
-    """Serve ``GET /NAME`` of each reading, ``GET /healthz``, and the faults.
+    """Serve ``GET /NAME`` for each reading, ``GET /healthz``, and the faults.
 
     ``GET|POST|DELETE /faults``, ``GET /faults/schema``.
     """

@@ -1,4 +1,4 @@
-"""From exposures to camera streams: each finger renders and encodes on its own thread, newest exposure first."""
+"""Turn exposures into camera streams: each finger renders and encodes on its own thread, newest exposure first."""
 
 import asyncio
 import threading
@@ -22,14 +22,14 @@ class CameraFeed:
 
     def __init__(self, camera: CameraEmulator, index: int, draw: Draw, loop: asyncio.AbstractEventLoop) -> None:
         self.error: BaseException | None = None
-        self.drawn_ns = 0  # capture time of the last picture that shows the gel, and not an earlier picture
+        self.drawn_ns = 0  # capture time of the last picture that shows the gel, not a repeat
         self._camera = camera
         self._index = index
         self._draw = draw
         self._loop = loop
         self._waiting: Exposure | None = None
         self._shot_s = -1.0
-        self._frozen: Image | None = None  # the last picture that was drawn
+        self._frozen: Image | None = None  # the last picture drawn
         self._wake = threading.Condition()
         self._stopped = False
         self._thread = threading.Thread(target=self._run, name=f"camera-{camera.finger}", daemon=True)
@@ -46,14 +46,14 @@ class CameraFeed:
             self._thread.join(timeout=5.0)
 
     def expose(self, exposure: Exposure) -> None:
-        """Take an exposure; one that is still waiting is dropped (the sensor is overrun)."""
+        """Take an exposure; an exposure still waiting is dropped (the sensor is overrun)."""
         with self._wake:
             self._waiting = exposure
             self._wake.notify()
 
     @property
     def idle(self) -> bool:
-        """Nobody watches and the last shot is young: the snapshot stays fresh at two frames a second."""
+        """True when nobody watches and the last shot is recent: the snapshot stays fresh at two frames per second."""
         return not self._camera.watched and time.monotonic() - self._shot_s < 0.5
 
     def shoot(self, exposure: Exposure) -> Shot:
@@ -92,5 +92,5 @@ class CameraFeed:
 
 
 def failure(*parts: Any) -> BaseException | None:
-    """The first error that one of the threads met."""
+    """The first error raised in one of the threads."""
     return next((part.error for part in parts if part.error is not None), None)

@@ -1,4 +1,4 @@
-"""Child processes of a run: own session, log file each, ended in order whatever happens."""
+"""Child processes of a run: each with its own session and log file, ended in order whatever happens."""
 
 import contextlib
 import os
@@ -15,13 +15,13 @@ from simulation.compile_cache import VARIABLE
 
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 _TAIL_LINES = 8
-KERNELS_N = 57  # files of the compiler; the estimate of the time left rests on it
+KERNELS_N = 57  # cache files that the compiler writes; the estimate of the remaining time is based on it
 SAY_EVERY_S = 5.0
-QUIET_S = 8.0  # a start that compiles nothing takes less
+QUIET_S = 8.0  # a start that compiles nothing takes less than this
 
 
 class ChildError(RuntimeError):
-    """A child ended or stayed silent when it should not have; ``code`` is its exit code, None if it still ran."""
+    """A child ended or stayed silent unexpectedly; ``code`` is its exit code, None if it was still running."""
 
     def __init__(self, text: str, code: int | None) -> None:
         super().__init__(text)
@@ -29,9 +29,9 @@ class ChildError(RuntimeError):
 
 
 class Child:
-    """``python -m MODULE ARGUMENTS`` with its output in a log file, in a session of its own.
+    """``python -m MODULE ARGUMENTS`` with its output in a log file, in its own session.
 
-    The session keeps a Ctrl-C of the terminal from reaching it: the run ends its children itself, in order.
+    The session keeps the terminal's Ctrl-C away from the child: the run ends its children itself, in order.
     """
 
     def __init__(self, name: str, module: str, arguments: Sequence[str], log: Path) -> None:
@@ -69,19 +69,19 @@ class Child:
             return float("nan")
 
     def go_first(self) -> None:
-        """Run before other processes from now on, as on a cell's PC, where the machine allows it."""
+        """Give it priority over other processes, as on a cell's PC, where the machine allows it."""
         for thread in Path(f"/proc/{self.process.pid}/task").glob("*"):
             with contextlib.suppress(OSError, AttributeError):
                 os.sched_setscheduler(int(thread.name), os.SCHED_RR, os.sched_param(1))
 
     def ask(self) -> None:
-        """Ask it once to end, and do not wait: a second signal would interrupt how it ends."""
+        """Ask it once to end, and do not wait: a second signal would interrupt its shutdown."""
         if not self._asked:
             self._asked = True
             self._signal(signal.SIGTERM)
 
     def end(self, patience_s: float = 8.0) -> None:
-        """Ask it to end, insist after ``patience_s``."""
+        """Ask it to end; kill it after ``patience_s``."""
         self.ask()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(patience_s)
@@ -101,7 +101,7 @@ class Child:
         return "\n".join(f"  | {line}" for line in lines[-_TAIL_LINES:]) or "  | (no output)"
 
     def check(self) -> None:
-        """Raise ChildError with its last lines if it ended."""
+        """Raise ChildError with its last lines if it has ended."""
         if self.code is not None:
             raise ChildError(f"{self.name} ended with exit code {self.code}:\n{self.tail()}", self.code)
 
@@ -118,7 +118,7 @@ class Child:
         raise ChildError(f"{self.name} was not ready within {timeout_s:.0f} s:\n{self.tail()}", None)
 
     def lines(self, others: Sequence["Child"], timeout_s: float) -> Iterator[str]:
-        """Its output line by line until it ends; raise ChildError if another child ends or time is up."""
+        """Yield its output line by line until it ends; raise ChildError if another child ends or time is up."""
         deadline_s = time.monotonic() + timeout_s
         with self.log.open(encoding="utf-8", errors="replace") as stream:
             pending = ""
@@ -139,7 +139,7 @@ class Child:
 
 
 class Children:
-    """The processes of a run, ended as it leaves: the last one first, as it moves the arm, the others at once."""
+    """The processes of a run. On leaving, the last one, which moves the arm, ends first; the others end at once."""
 
     def __init__(self) -> None:
         self._children: list[Child] = []
@@ -156,18 +156,18 @@ class Children:
             child.end()
 
     def add(self, child: Child) -> Child:
-        """The same child, which ends with the run."""
+        """Add a child that ends with the run, and return it."""
         self._children.append(child)
         return child
 
     def go_first(self) -> None:
-        """Every child as `Child.go_first`."""
+        """Call `Child.go_first` on every child."""
         for child in self._children:
             child.go_first()
 
 
 def terminate_as_interrupt() -> None:
-    """Make SIGTERM end the run as Ctrl-C does, so that children are ended too."""
+    """Make SIGTERM end the run as Ctrl-C does, so that the children are ended too."""
 
     def raise_interrupt(_number: int, _frame: object) -> None:
         raise KeyboardInterrupt
@@ -177,7 +177,7 @@ def terminate_as_interrupt() -> None:
 
 
 class Compiling:
-    """Counts what the compiler has put into its cache, and reports it every few seconds while it grows."""
+    """Counts the compiler's cache entries, and reports the count every few seconds while it grows."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say = say
@@ -186,7 +186,7 @@ class Compiling:
         self._began_s = self._reported_s = time.monotonic()
 
     def look(self) -> None:
-        """Called often while the cell starts."""
+        """Check the cache; call this often while the cell starts."""
         now_s = time.monotonic()
         waited_s = now_s - self._began_s
         if waited_s < QUIET_S or now_s - self._reported_s < SAY_EVERY_S:

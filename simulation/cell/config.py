@@ -1,4 +1,4 @@
-"""The robot client's configuration for a simulated cell, as a person would write it for a real one."""
+"""The robot client's configuration for a simulated cell, as somebody would write it for a real one."""
 
 import json
 from collections.abc import Mapping
@@ -19,8 +19,8 @@ def client_config(
 ) -> str:
     """The text of a ``cell.toml``. ``facts`` are those of ``cell.json``; the fixture is where the arm starts.
 
-    ``service`` is the address of the service, ``token`` the file of its token; None: the client finds it by itself.
-    ``chosen``: tables that come on top, such as `choose` writes them; a lower approach is set lower here.
+    ``service`` is the address of the service, ``token`` the file of its token; with None the client finds it itself.
+    ``chosen``: tables that override these, as `choose` writes them; a lower approach is set lower here.
     """
     devices = {
         "egm": {"device": "abb_egm", "port": facts["egm_guide_port"]},
@@ -56,7 +56,7 @@ def client_config(
 
 
 def flat(tables: Mapping[str, Any], above: str = "") -> dict[str, dict[str, Any]]:
-    """Nested tables by their dotted names, as a TOML file heads them."""
+    """Nested tables by their dotted names, as the headings of a TOML file."""
     flattened: dict[str, dict[str, Any]] = {}
     for name, table in tables.items():
         inner = {key: value for key, value in table.items() if isinstance(value, Mapping)}

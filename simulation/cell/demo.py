@@ -19,18 +19,18 @@ DAYS_S = 1e9
 
 @dataclass(frozen=True)
 class DemoOptions(RunOptions):
-    """Insert one object after another in the simulated cell, each with a start of its own, until Ctrl-C."""
+    """Insert one object after another in the simulated cell, each from its own start, until Ctrl-C."""
 
     port: int = 8000
-    """Of the page; any free one if it is taken."""
+    """Port of the page; any free one if it is taken."""
     open: bool = False
     """Open the page in the browser."""
     parts: int | None = None
-    """Stop after so many inserted objects."""
+    """Stop after this many inserted objects."""
 
 
 def lines(options: DemoOptions, folder: Path) -> Iterator[str]:
-    """Run the demonstration and give what it says; raises ChildError if a process fails. Ends all on leaving."""
+    """Run the demonstration and yield its output; ends all processes on leaving. Raises ChildError if one fails."""
     start = Start(options.object, 0.0, 0.0, options.seed)
     folder.mkdir(parents=True)
     with Children() as children:
@@ -63,7 +63,7 @@ def lines(options: DemoOptions, folder: Path) -> Iterator[str]:
 
 
 def _port(wanted: int) -> int:
-    """The port asked for, or a free one where that is taken, or 0."""
+    """The requested port, a free one where that is taken, or 0."""
     try:
         with bind_tcp(wanted, "the page") as bound:
             return port_of(bound)

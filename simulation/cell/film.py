@@ -1,4 +1,4 @@
-"""A short film of an insertion in the simulated cell: what both gels did, and where the object truly was."""
+"""A short film of an insertion in the simulated cell: what both gels did, and the object's true pose."""
 
 import threading
 from pathlib import Path
@@ -13,7 +13,7 @@ from simulation.cell.world import Exposure, World
 
 RATE_HZ, MOST_N = 10.0, 1200
 HIGH, WIDE, SIDE_MM = 300, 300, 90.0
-ARROWS = 6.0  # times as long as they are
+ARROWS = 6.0  # arrows are drawn this many times longer than the motion
 GROUND, QUIET, STICKS, BLOCK, OBJECT, TEXT = (
     (24, 19, 14),
     (96, 84, 72),
@@ -26,7 +26,7 @@ Image = NDArray[np.uint8]
 
 
 class Course:
-    """Collects ten moments a second on the world's thread, from the first one in which something is held."""
+    """Collects ten moments per second on the world's thread, from the first moment in which something is held."""
 
     def __init__(self, world: World, fps: float) -> None:
         self._world = world
@@ -45,7 +45,7 @@ class Course:
             )
 
     def save(self, path: Path, gap_mm: float) -> None:
-        """Write the moments as an ``.npz``; none, no file."""
+        """Write the moments as an ``.npz``; without any, no file."""
         with self._lock:
             gels, places = [gel for gel, _ in self._moments], [place for _, place in self._moments]
         if gels:
@@ -75,7 +75,7 @@ def _picture(moved: NDArray[Any], place: NDArray[Any], gap_mm: float, sensor: Se
 
 
 def _gel(moved: NDArray[Any], sensor: Sensor, name: str) -> Image:
-    """Arrows of one gel since the grasp, mm to the scale of the picture."""
+    """Arrows of one gel's motion since the grasp, mm to the scale of the picture."""
     picture = np.full((HIGH, WIDE, 3), GROUND, np.uint8)
     scale = min(WIDE / sensor.width_px, (HIGH - 24) / sensor.height_px)
     rest = sensor.marker_rest_px().reshape(-1, 2) * scale

@@ -1,7 +1,7 @@
-"""The cell in real time on loopback: robot, gripper and cameras as sockets, one physics behind them, and the truth.
+"""The cell in real time on loopback: robot, gripper and cameras as sockets, one physics behind them, and ground truth.
 
-Everything listens on 127.0.0.1 only. The arm starts 10 mm above the approach pose with the object in its fingers
-(or standing between the open fingers, ``--gripper open``), the motors off and RAPID stopped: the client brings it up.
+Everything listens on 127.0.0.1 only. The arm starts 10 mm above the approach pose with the object in its fingers (or
+standing between the open fingers, ``--gripper open``), motors off and RAPID stopped: the client starts them.
 """
 
 import asyncio
@@ -42,16 +42,16 @@ from simulation.cell.world import HeldPart, Mechanics, World
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM
 
 APPROACH_MM = 5.0  # the object's bottom above the block tops at the approach pose
-LIFT_MM = 10.0  # of the start above the approach pose
-TRACE_N = 30_000  # TCP heights, 250 a second: two minutes
-INSERTION_MM = 20.0  # how deep its bottom is in the gap when it counts as inserted
+LIFT_MM = 10.0  # height of the start above the approach pose
+TRACE_N = 30_000  # TCP heights, 250 per second: two minutes
+INSERTION_MM = 20.0  # depth of the object's bottom in the gap at which it counts as inserted
 
 
 class Plant(NamedTuple):
-    """What stands behind the devices: physics, optics, and the numbers that a client needs."""
+    """The models behind the devices: physics, optics, and the numbers that a client needs."""
 
     mechanics: Mechanics
-    regrasp: Callable[[float, int], Pose]  # grip force and number of the object; where the TCP is then
+    regrasp: Callable[[float, int], Pose]  # (grip force, number of the object) -> pose of the TCP afterwards
     draw: dict[str, Draw]
     start: Pose  # TCP at the approach pose
     part_width_mm: float
@@ -59,7 +59,7 @@ class Plant(NamedTuple):
     save_calibration: Callable[[Path], None]
     sensor: Sensor
     fps: float
-    dropped_share: float = 0.0  # of the camera frames, as the scene has it
+    dropped_share: float = 0.0  # share of camera frames dropped, from the scene
 
 
 class Sockets(NamedTuple):
@@ -77,7 +77,7 @@ class Sockets(NamedTuple):
 
 
 def bind_all(options: CellOptions) -> Sockets:
-    """Bind every port, before anything slow happens; raise BusyPortError naming the device."""
+    """Bind every port before anything slow happens; raise BusyPortError naming the device."""
     wanted = (
         (options.rws_port, "RWS"),
         (options.gripper_port, "the gripper"),
@@ -195,7 +195,7 @@ class LiveCell:
             await asyncio.sleep(0.2)
         raise RuntimeError(f"the cell's physics or optics failed: {error}") from error
 
-    # ---- what others are given --------------------------------------------------------------------------------
+    # ---- what clients and the admin port get ------------------------------------------------------------------
 
     def description(self, calibration: Path) -> dict[str, Any]:
         """Contents of cell.json: addresses, calibration, and what a client may know of the task."""
@@ -221,16 +221,16 @@ class LiveCell:
         }
 
     async def way(self) -> list[tuple[int, float]]:
-        """Heights of the TCP in mm over the machine's steady clock in ns, a cycle of the arm each."""
+        """Heights of the TCP in mm over the machine's steady clock in ns, one entry per cycle of the arm."""
         return list(self.trace)
 
     async def glance(self) -> dict[str, Any]:
-        """Where the arm is, and whether the object touches anything."""
+        """The arm's pose, and whether the object touches anything."""
         state = self.world.state
         return {"z_mm": self.cabinet.arm.pose.position_mm[2], "touches": state is not None and bool(state.in_contact)}
 
     async def truth(self) -> dict[str, Any]:
-        """What only a simulator knows, and what went over the wires."""
+        """Data that only a simulator knows, and counts of what went over the wires."""
         arm, state, course = self.cabinet.arm, self.world.state, self.world.course
         truth: dict[str, Any] = {
             "tcp": {"position_mm": arm.pose.position_mm, "yaw_deg": arm.pose.yaw_deg, "tilt_deg": arm.pose.tilt_deg},

@@ -1,4 +1,4 @@
-"""What a live cell can be asked for, checked before anything starts."""
+"""Options of a live cell, checked before anything starts."""
 
 import zlib
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ _RANGES = {"x_mm": (-60.0, 60.0), "theta_deg": (-45.0, 45.0), "egm_lag_ms": (1.0
 
 
 class CellError(ValueError):
-    """A cell that cannot be set up as asked."""
+    """The requested cell cannot be set up."""
 
 
 @dataclass(frozen=True)
@@ -35,30 +35,30 @@ class CellOptions:
     egm_lag_ms: float = 20.0
     """First-order lag of the arm behind the guide."""
     gripper: Literal["held", "open"] = "open"
-    """The object stands in its fixture between the open fingers at the start, or is held already."""
+    """Whether the object stands in its fixture between the open fingers at the start, or is already held."""
     feed: bool = False
-    """A new object stands in the fixture each time the arm is back there, and another box below the gap."""
+    """Put a new object into the fixture each time the arm is back there, and another box below the gap."""
     world: str | None = None
     """A world file (see docs/worlds.md); the project's own cell if left out."""
     egm_guide_port: int = 0
-    """UDP port the robot sends to, where the guide listens; 0 picks a free one."""
+    """UDP port to which the robot sends and on which the guide listens; 0 picks a free one."""
     rws_port: int = 0
-    """RWS over HTTP; 0 picks a free one, as for all below."""
+    """RWS over HTTP; 0 picks a free one, as for all ports below."""
     gripper_port: int = 0
     """WSG-50 over TCP."""
     gripper_udp_port: int = 0
     """WSG-50 over UDP."""
     gripper_udp_remote_port: int = 0
-    """Where it sends its answers to datagrams (the gripper's own is 1501); 0 sends them back to the sender."""
+    """Port to which it sends answers to datagrams (the gripper's own is 1501); 0 answers to the sender."""
     camera_left_port: int = 0
     """MJPEG of the left finger."""
     camera_right_port: int = 0
     """MJPEG of the right finger."""
     admin_port: int = 0
-    """Truth and faults over HTTP."""
+    """Ground truth and faults over HTTP."""
 
     def check(self) -> None:
-        """Raise CellError naming the option that cannot be."""
+        """Raise CellError naming the invalid option."""
         if self.fps not in (None, 30, 60, 90):
             raise CellError(f"--fps {self.fps}: expected 30, 60 or 90")
         for name, (low, high) in _RANGES.items():

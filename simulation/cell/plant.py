@@ -20,7 +20,7 @@ from simulation.scene.scene import Scene
 from simulation.scene.worlds import load_scene, load_world
 
 Image = NDArray[np.uint8]
-LIVE_RESIDUAL_N = 1e-4  # far below what a camera can show; a solve that polishes to 1e-7 N may miss a camera tick
+LIVE_RESIDUAL_N = 1e-4  # far below what a camera can show; solving to 1e-7 N may miss a camera tick
 
 
 def load(options: CellOptions) -> Scene:
@@ -41,14 +41,14 @@ def _drawer(renderer: Renderer, seed: int) -> Draw:
 
 
 def build(scene: Scene, options: CellOptions) -> Plant:
-    """Physics and optics of ``scene``, compiled and warm, the object in the hand with the error asked for."""
+    """Physics and optics of ``scene``, compiled and warm, the object in the hand with the requested error."""
     _compile(scene, options)
     cell = QuasiStaticCell(scene, seed=options.seed)
     cell.regrasp(options.x_mm, options.theta_deg)
     renderers = {finger: Renderer(Appearance.draw(scene, finger, options.seed)) for finger in FINGERS}
     calibration = Calibration(*(renderers[finger].calibration for finger in FINGERS))
 
-    fed: set[int] = set()  # parts that came; one that was put back comes again, to the same box
+    fed: set[int] = set()  # parts that have arrived; one that was put back comes again, to the same box
 
     def regrasp(_force_n: float, part_n: int) -> Pose:
         x_mm, theta_deg = options.x_mm, options.theta_deg
@@ -80,7 +80,7 @@ def _pose_of(cell: QuasiStaticCell) -> Pose:
 
 
 def _compile(scene: Scene, options: CellOptions) -> None:
-    """Touch a block once on a throw-away cell, so that the compiled code is loaded before the clock starts."""
+    """Touch a block once on a throwaway cell, so that the compiled code is loaded before the clock starts."""
     cell = QuasiStaticCell(scene, seed=options.seed)
     cell.regrasp(8.0, 6.0)
     x, y, z, yaw = (float(value) for value in cell.pose)

@@ -1,6 +1,6 @@
 """The whole loop: simulated cell, service and robot client as processes, one insertion at a time.
 
-The cell plays robot, gripper and cameras on loopback; the service and the client are the real ones and cannot tell.
+The cell emulates robot, gripper and cameras on loopback; the service and the client are the real ones.
 """
 
 import json
@@ -30,7 +30,7 @@ FRAME_AGE_MS = 500.0  # the simulated cell computes its frames on the same cores
 
 
 class RunError(ValueError):
-    """A run that cannot be set up as asked."""
+    """The requested run cannot be set up."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,13 @@ class RunOptions:
     seed: int = 0
     """Seed of start, grasp, optics and noise."""
     controller: Literal["belief", "heuristic"] = "belief"
-    """How corrections are chosen."""
+    """Controller that chooses the corrections."""
     models: Path = field(default_factory=released_models)
     """Folder with the networks."""
     out: Path = Path("runs")
-    """Where runs are kept."""
+    """Folder for the runs."""
     repeat: int = 1
-    """This many starts an object, seeds counting up."""
+    """Number of starts per object, with increasing seeds."""
     fps: int | None = None
     """Camera rate: 30, 60 or 90; the sensor's if left out."""
     egm_lag_ms: float = 20.0
@@ -62,9 +62,9 @@ class RunOptions:
     link: Literal["egm", "socket"] = "egm"
     """How the client drives the arm: EGM, or the RAPID sockets of a controller without that option."""
     client: Path | None = None
-    """Tables of the client's configuration to put on top of those of the cell, such as `choose` writes them."""
+    """Tables that override the cell's client configuration, as `choose` writes them."""
     timeout_s: float = 240.0
-    """An insertion that takes longer is ended."""
+    """Time limit of one insertion."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Start:
 
 
 def starts(options: RunOptions) -> list[Start]:
-    """What is to be done; raises SceneError or RunError before anything starts."""
+    """The insertions to do; raises SceneError or RunError before anything starts."""
     if options.repeat < 1:
         raise RunError(f"--repeat {options.repeat}: expected 1 or more")
     if not options.timeout_s > 0:
@@ -116,7 +116,7 @@ def start_cell(start: Start, options: RunOptions, folder: Path, *, fed: bool = F
 
 
 def ready_cell(cell: Child, folder: Path) -> dict[str, Any]:
-    """What the cell reports once it is ready; shows the compiler's progress where it has to compile."""
+    """The cell's description once it is ready; shows the compiler's progress where it has to compile."""
     compiling = Compiling(_say)
     cell.until("cell: ready", CELL_READY_S, compiling.look)
     facts: dict[str, Any] = json.loads((folder / "cell" / "cell.json").read_text())
@@ -147,7 +147,7 @@ def _start_client(facts: dict[str, Any], url: str, options: RunOptions, folder: 
 
 
 class Loop(NamedTuple):
-    """The three processes of one insertion and what the cell says of itself."""
+    """The three processes of one insertion and the cell's description of itself."""
 
     cell: Child
     service: Child
@@ -160,9 +160,9 @@ class Loop(NamedTuple):
 def loop(
     start: Start, options: RunOptions, folder: Path, through: Callable[[str], str] = lambda url: url, port: int = 0
 ) -> Iterator[Loop]:
-    """Start cell, service and client, in this order; end them in the other. Raises ChildError if one fails.
+    """Start cell, service and client, in this order; end them in reverse order. Raises ChildError if one fails.
 
-    ``through``: the address by which the client reaches the service, made of the service's own.
+    ``through``: maps the service's own address to the one by which the client reaches it.
     """
     folder.mkdir(parents=True)
     with Children() as children:
@@ -176,7 +176,7 @@ def loop(
 
 
 def insert(start: Start, options: RunOptions, folder: Path) -> Result:
-    """One insertion from nothing running to nothing running; raises ChildError if a process fails."""
+    """Start everything, do one insertion, and end everything; raises ChildError if a process fails."""
     _say(f"{start.object}: start error x {start.x_mm:+.2f} mm, yaw {start.theta_deg:+.2f} deg, seed {start.seed}")
     port = free_port(socket.SOCK_STREAM)
     _say(f"page: http://{HOST}:{port}/ (from when the service runs, in some seconds)")

@@ -1,4 +1,4 @@
-"""What a run says at its end: from the client's episode log, the cell's truth and the service's recording."""
+"""The result of a run, from the client's episode log, the cell's ground truth and the service's recording."""
 
 import json
 import math
@@ -16,7 +16,7 @@ from simulation.optics import attempt_picture
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One insertion in figures; errors and block motion are the simulator's truth."""
+    """One insertion in figures; errors and block motion are the simulator's ground truth."""
 
     object_name: str
     x_mm: float
@@ -44,7 +44,7 @@ class Result:
 
 
 def _slips(events: list[dict[str, Any]]) -> list[int]:
-    """Capture stamps (steady clock, ns) of the frames that showed slip, one an attempt."""
+    """Capture stamps (steady clock, ns) of the frames that showed slip, one per attempt."""
     first: dict[tuple[str, int], int] = {}
     for entry in events:
         message = entry.get("event", {}).get("message", {})
@@ -56,11 +56,11 @@ def _slips(events: list[dict[str, Any]]) -> list[int]:
 def collect(
     truth: dict[str, Any], log: Path, *, seconds: float, cores: tuple[float, float] = (math.nan, math.nan), **start: Any
 ) -> Result:
-    """Put episode log and truth together; ``start``: ``object_name``, ``x_mm``, ``theta_deg`` and ``seed`` of it."""
+    """Combine episode log and ground truth; ``start`` gives ``object_name``, ``x_mm``, ``theta_deg`` and ``seed``."""
     logs = [log, *sorted(log.parent.glob(f"{log.stem}-*{log.suffix}"), key=lambda path: path.stat().st_mtime)]
-    events = [entry for one in logs for entry in read_rows(one)]  # one for each time that the object was taken
+    events = [entry for one in logs for entry in read_rows(one)]  # one log per grasp of the object
     ends = [entry["end"] for entry in events if "end" in entry] or [{}]
-    end, refused_n = ends[-1], len(ends) - 1  # of each earlier one the last attempt was not armed
+    end, refused_n = ends[-1], len(ends) - 1  # in each earlier one the last attempt was refused
     body, course = truth.get("object", {}), truth["course"]
     frozen, rest, over = [], [], []
     for slip_ns in _slips(events):
@@ -136,7 +136,7 @@ def screen(
 
 
 def telling_recording(folder: Path) -> Path | None:
-    """The newest recording that holds an attempt: the last one of a regrasped object is often inserted at once."""
+    """The newest recording that holds an attempt: after a regrasp the object is often inserted without one."""
     entries = sorted(path for path in folder.glob("*") if path.is_dir())
     return max(entries, key=lambda path: (any(path.glob("attempt_*.npz")), path), default=None)
 
@@ -148,7 +148,7 @@ def _direction(probabilities: dict[str, float]) -> list[list[float]]:
 
 
 def draw_last_attempt(recording: Path, path: Path, result: Result) -> Path | None:
-    """Picture of the last attempt that was decided on; None if there was none."""
+    """Picture of the last attempt with a decision; None if there was none."""
     attempts = sorted(recording.glob("attempt_*.npz"))
     if not attempts:
         return None

@@ -1,7 +1,7 @@
-"""The physics behind the devices, in real time: the cameras' clock, the object in the hand, the truth.
+"""The physics behind the devices, in real time: the cameras' clock, the object in the hand, the ground truth.
 
-At each camera tick the world reads where the arm is, advances the mechanics to there and hands both fingers' gel states
-to their cameras. Ticks that the machine could not serve are skipped and counted, never made up for.
+At each camera tick the world reads the arm's pose, advances the mechanics to it and hands both fingers' gel states to
+their cameras. Ticks that the machine could not serve are skipped and counted, and never made up for.
 """
 
 import queue
@@ -49,7 +49,7 @@ class Course:
 
 
 class World:
-    """Owns the mechanics and the camera clock; everything it does runs on its own thread."""
+    """Owns the mechanics and the camera clock; all its work runs on its own thread."""
 
     def __init__(
         self,
@@ -95,12 +95,12 @@ class World:
         if self._thread.ident is not None:
             self._thread.join(timeout=5.0)
 
-    # ---- what the gripper does --------------------------------------------------------------------------------
+    # ---- gripper actions --------------------------------------------------------------------------------------
 
     def grip(self, force_n: float, *, fed: bool = False) -> None:
-        """The fingers close on the object with this force (carried out at the next tick).
+        """Close the fingers on the object with this force (carried out at the next tick).
 
-        A fed object is a new one each time, off by an error of the fixture that the software does not know.
+        A fed object is a new one each time, off by a fixture error that the software does not know.
         """
 
         def do() -> None:
@@ -116,7 +116,7 @@ class World:
         self._todo.put(do)
 
     def let_go(self, *, put_back: bool = False) -> None:
-        """The fingers open: the gels are free, and the object stays where it is; ``put_back``: to be taken again."""
+        """Open the fingers: the gels are unloaded and the object stays in place; ``put_back``: to be grasped again."""
 
         def do() -> None:
             if self.held and put_back:
@@ -186,9 +186,9 @@ class World:
 class HeldPart:
     """The object between the fingers, as the gripper's mechanism sees it.
 
-    Opening the fingers puts the object back into its fixture if the arm stands at ``home`` and leaves it where it is
-    otherwise: from then on there is nothing to grasp, until the arm has put it down at home again. ``fed``: the fixture
-    gets another one as soon as the arm is back there.
+    Opening the fingers puts the object back into its fixture if the arm stands at ``home``. Elsewhere the object stays
+    where it is, and there is nothing to grasp until the arm has put it down at home again. ``fed``: the fixture gets
+    another object as soon as the arm is back there.
     """
 
     def __init__(

@@ -1,1 +1,1 @@
-"""Command line of the simulator, one module a command."""
+"""Command line of the simulator, one module per command."""

@@ -1,4 +1,4 @@
-"""Commands that run the cell in real time: alone, or broken on purpose."""
+"""Commands that run the cell in real time: normally, or with deliberate faults."""
 
 import asyncio
 import sys
@@ -15,17 +15,17 @@ from simulation.studies.motion_bounds.campaign import BoundsOptions, measure
 
 
 def cell(arguments: list[str]) -> int:
-    """One cell in real time: robot, gripper, cameras on loopback. Exit 0 when interrupted, 1 if the physics failed."""
+    """Run the cell in real time: robot, gripper, cameras on loopback. Exit 0 on interrupt, 1 if the physics failed."""
     options = tyro.cli(CellOptions, args=arguments, prog="tactile-insertion cell", description=cell.__doc__)
     options.check()
     scene = load(options)
-    options.out.mkdir(parents=True, exist_ok=True)  # refused before there are sockets and threads
+    options.out.mkdir(parents=True, exist_ok=True)  # fails before sockets and threads exist
     sockets = bind_all(options)
     return asyncio.run(serve(options, build(scene, options), sockets))
 
 
 def motion_bounds(arguments: list[str]) -> int:
-    """Every fault in every phase; exit 0 if all bounds hold, 1 if one does not."""
+    """Inject every fault in every phase; exit 0 if all bounds hold, 1 if one does not."""
     options = tyro.cli(BoundsOptions, args=arguments, prog="tactile-insertion motion-bounds")
     if not options.out.is_dir():
         raise ValueError(f"--out {options.out}: expected an existing folder")

@@ -1,4 +1,4 @@
-"""`commission`: cells that probe, adapt and learn from work; `scene`: what its presses say about a gel."""
+"""`commission`: cells that probe, adapt and learn from work; `scene`: identify a gel from its presses."""
 
 import json
 import sys
@@ -24,17 +24,18 @@ from simulation.studies.identify.page import identify_page
 
 PLAYED_BY = "simulation.studies.identify.cells"
 FIRST_COARSE, FIRST_FINE, FIRST_LAYER, FIRST_FRESH = 1000, 5000, 7000, 910_000
-"""Numbers of the first cells that the posterior is fitted to, and of the first that it is judged on."""
+"""Numbers of the first cell that the posterior is fitted to, and of the first that it is evaluated on."""
 
 
 @dataclass(frozen=True)
 class Options:
     """Play commissioning in each world: probes of known error, adapting, and working insertions with hindsight.
 
-    Four probes first tell whether the cell is wired as it says. Where they name a mistake, nothing else is played, and
-    all counts are 0. JSON gets a row a world: `released`, `after_50`, `after_150` (after all probes) and `after_work`
-    are counted on the same fresh insertions; where `verdicts` keep the release, they are its own. `accepted` is the
-    verdict after all probes. What is played is kept beside it and not played again. All figures are simulated.
+    Four probes first check the cell's wiring. Where they find a mistake, nothing else is played, and all counts are 0.
+
+    JSON gets one row per world. `released`, `after_50`, `after_150` (after all probes) and `after_work` are counted on
+    the same fresh insertions; where `verdicts` keep the release, its own counts are repeated. `accepted` is the verdict
+    after all probes. Played insertions are stored next to the JSON and not repeated. All figures are simulated.
     """
 
     worlds: tuple[str, ...]
@@ -42,33 +43,33 @@ class Options:
     objects: tuple[str, ...]
     """names, TOML files or folders of them"""
     json: Path
-    """file for the rows; insertions are kept next to it"""
+    """file for the rows; insertions are stored next to it"""
     cell: Literal["own", "foreign"] = "own"
-    """whose mechanics: the project's own, or finite elements that it was not built on"""
+    """mechanics: the project's own, or finite elements that it was not built on"""
     mistakes: bool = False
-    """also ask each world for its signs with each mistake of a first day"""
+    """also run each world's wiring check with each mistake of a first day"""
     probes: int = 150
-    """probes of known error in each world; 0: only the four that ask for signs"""
+    """probes of known error in each world; 0: only the four of the wiring check"""
     around: int = 300
-    """presses simulated around what is known of the cell: its objects, grip and height; 0: none"""
+    """simulated presses around what is known of the cell (its objects, grip and height); 0: none"""
     work: int = 50
     """working insertions to learn from; 0: none"""
     insertions: int = 50
-    """fresh ones that every version is counted on"""
+    """fresh insertions on which every version is counted"""
     seed: int = 0
-    """of starts, grasps and noise"""
+    """seed of starts, grasps and noise"""
     models: Path = field(default_factory=released_models)
-    """folder with the networks to begin with"""
+    """folder with the initial networks"""
     checkpoint: Path | None = None
-    """release that is adapted; default: the one next to the models"""
+    """release to adapt; default: the one next to the models"""
     workers: int = 0
-    """processes; 0 takes every core"""
+    """processes; 0 uses all cores"""
     docs: Path | None = None
     """also write commissioning.md and its data into this folder"""
 
 
 def main(arguments: list[str]) -> int:
-    """Play all worlds, write the rows as they come."""
+    """Play all worlds and write the rows as they come."""
     options = tyro.cli(Options, args=arguments, prog="tactile-insertion commission")
     if min(options.probes, options.around, options.work) < 0 or options.insertions < 1:
         given = f"--probes {options.probes} --around {options.around} --work {options.work}"
@@ -97,7 +98,7 @@ def main(arguments: list[str]) -> int:
 
 
 def _cell(options: Options, world: World, made_by: str) -> Cell:
-    """The world with those objects that can be held in it; raises SceneError where there is none."""
+    """The world with the objects that can be held in it; raises SceneError where none can."""
     folder = options.json.with_suffix("") / made_by / world.name / f"seed-{options.seed}"
     objects, refused = dict[str, Scene](), list[str]()
     for name, scene in load_objects(options.objects).items():
@@ -116,7 +117,7 @@ def _cell(options: Options, world: World, made_by: str) -> Cell:
 
 
 def _check_foreign(scene: Scene) -> None:
-    from simulation.foreign.cell import pad_of  # brings scipy and scikit-fem
+    from simulation.foreign.cell import pad_of  # imports scipy and scikit-fem
 
     pad_of(scene)
 
@@ -125,38 +126,39 @@ def _check_foreign(scene: Scene) -> None:
 class Identify:
     """Estimate gel and friction of a cell from the recordings of its commissioning; write them as a world file.
 
-    It takes the four probes that ask for signs, and two presses until slip at each of two grips. Beside the file comes
-    the same as JSON, with 90 % intervals. What the presses do not tell has an interval as wide as that of drawn cells.
+    Uses the four probes of the wiring check, and two presses until slip at each of two grips. The same goes into JSON
+    next to the file, with 90 % intervals. Parameters that the presses do not determine keep intervals as wide as the
+    drawn cells.
     """
 
     recordings: Annotated[Path, tyro.conf.Positional]
     """folder with the service's recordings, those of both grips"""
     object: str
-    """what was held: an object by name or TOML file, a rectangle that covers the pads"""
+    """held object by name or TOML file; a rectangle must cover the pads"""
     out: Path
     """world file to write"""
     posterior: Path = posterior.SHIPPED
-    """the one to take, unless that which ships"""
+    """posterior to use; default: the released one"""
 
 
 @dataclass(frozen=True)
 class Play:
-    """What plays drawn cells."""
+    """Options for playing drawn cells."""
 
     out: Path = Path("runs/identify")
     """folder for the insertions; the same command continues after an interruption"""
     models: Path = field(default_factory=released_models)
-    """networks that decide the probes; nothing of what they say is used"""
+    """networks that decide the probes; their answers are not used"""
     workers: int = 0
-    """processes; 0 takes every core"""
+    """processes; 0 uses all cores"""
 
 
 @dataclass(frozen=True)
 class Fit(Play):
-    """Fit the posterior to drawn cells, anew: what ships is made so."""
+    """Fit the posterior to drawn cells, as the released one was."""
 
     coarse_cells: int = 306
-    """cells on coarser pads, which the intervals are not calibrated on"""
+    """cells on coarser pads, on which the intervals are not calibrated"""
     cells: int = 300
     layer_cells: int = 44
     to: Path = Path("runs/identify/posterior.npz")
@@ -165,13 +167,13 @@ class Fit(Play):
 
 @dataclass(frozen=True)
 class Evaluate(Play):
-    """Judge the posterior on fresh drawn cells: does a 90 % interval hold the truth in 90 of 100?"""
+    """Evaluate the posterior on fresh drawn cells: does a 90 % interval contain the truth in 90 of 100?"""
 
     first: int = FIRST_FRESH
-    """number of the first cell; none of those that it was fitted to"""
+    """number of the first cell; outside the fitted ones"""
     cells: int = 60
     layer_cells: int = 0
-    """as many further cells of the finer tier, which cost many times as much"""
+    """further cells of the finer tier, which is many times slower"""
     posterior: Path = posterior.SHIPPED
     docs: Path | None = None
     """also write identify.md and its data into this folder"""

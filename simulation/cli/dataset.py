@@ -1,4 +1,4 @@
-"""Commands around a dataset: collect it, export it for other people's tools, which show it, too."""
+"""Commands for datasets: collect one, or export it to a format that other tools read and show."""
 
 import json
 from collections import Counter
@@ -32,20 +32,20 @@ class CollectOptions:
     out: Path = Path("data/probes")
     """Folder of the dataset; created if absent, continued if it holds the same collection."""
     trials_per_object: int = 7500
-    """Collisions to keep of each object; beyond one shard rounded up to whole shards."""
+    """Collisions to keep per object; above one shard, rounded up to whole shards."""
     objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = training_objects()
-    """Scene names or TOML files; or `drawn` for worlds and objects drawn over all that cells are, and `drawn-bristle`,
-    `drawn-layer` and `drawn-foreign` for those of one tier or of finite elements."""
+    """Scene names or TOML files; or `drawn` for worlds and objects drawn over the full range of cells, `drawn-bristle`,
+    `drawn-layer` and `drawn-foreign` for one tier of the gel, or finite elements."""
     sensor: str = ""
-    """Name or TOML file of the fingers' sensor, where it is not the scenes' own."""
+    """Name or TOML file of the fingers' sensor; default: the scenes' own."""
     around: Path | None = None
-    """World file that says what is known of one cell: the objects are pressed there, and what it leaves out is drawn"""
+    """World file with what is known of one cell: the objects are pressed there; unstated parameters are drawn."""
     seed: int = 0
-    """Same seed, same data, bit for bit, whatever the number of workers."""
+    """Seed: same seed, same data, bit for bit, whatever the number of workers."""
     workers: int = 0
-    """Processes; 0 means one a core."""
+    """Processes; 0 means one per core."""
     trials_per_shard: int | None = None
-    """Collisions in a shard, what a kill can cost each worker; the folder's own, or 250 and no more than are asked."""
+    """Collisions per shard; a kill costs each worker at most one shard. Default: the folder's own, or 250 at most."""
     held_out_share: float = 0.12
     """Share of re-fixtures drawn from held-out ranges (the test split)."""
     ray: str = ""
@@ -53,7 +53,7 @@ class CollectOptions:
 
 
 def asked_manifest(options: CollectOptions) -> Manifest:
-    """What the finished collection would say of itself, without shards."""
+    """The manifest of the finished collection, without shards."""
     per_shard = options.trials_per_shard
     if per_shard is None:
         per_shard = _shard_size(options)
@@ -98,7 +98,7 @@ def _known(options: CollectOptions) -> dict[str, Any] | None:
 
 
 def _shard_size(options: CollectOptions) -> int:
-    """That of the collection that is continued, or as many as a kill may cost, or all where fewer are asked."""
+    """The shard size of the collection to continue, else the default, or everything where less is requested."""
     if (options.out / MANIFEST).exists():
         return read_manifest(options.out).trials_per_shard
     return min(SHARD_TRIALS, options.trials_per_object)
@@ -128,7 +128,7 @@ def collect(arguments: list[str]) -> int:
 
 
 def _made(plans: list[Plan], options: CollectOptions) -> Iterator[ShardEntry]:
-    """Every shard as it lies in the folder; from a cluster it comes as bytes."""
+    """Every shard as an entry of the folder; from a cluster it arrives as bytes."""
     if not options.ray:
         yield from results(make_shard, plans, options.workers)
         return
@@ -148,11 +148,11 @@ class ExportOptions:
     first: int = 0
     """Number of the first trial."""
     count: int = 100
-    """How many trials; a trial takes about 12 MB."""
+    """Number of trials; each takes about 12 MB."""
 
 
 def export_dataset(arguments: list[str]) -> int:
-    """Export the trials asked for; nothing is overwritten."""
+    """Export the requested trials; nothing is overwritten."""
     options = tyro.cli(ExportOptions, args=arguments, prog="tactile-insertion export-dataset")
     dataset = Dataset(options.source)
     numbers = slice_of(range(len(dataset)), options.first, options.count, options.source)

@@ -1,4 +1,4 @@
-"""`drawn-worlds` and `sealed`: the closed loop where nobody trained; `draw-worlds`, `draw-objects`: files for it."""
+"""`drawn-worlds`, `sealed`: the closed loop outside the training set; `draw-worlds`, `draw-objects`: files for it."""
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -30,8 +30,8 @@ from simulation.studies.witness.sealed_page import foreign_world_page
 class Options(PlayOptions):
     """Play the same starts in drawn worlds by every variant.
 
-    Variants: the release with a measured shear reach told, and with none told; the networks of OLDER and of
-    PAPER_MODELS where there are any.
+    Variants: the release with a measured shear reach and without one; the networks of OLDER and of PAPER_MODELS where
+    given.
 
     Results go to OUT/insertions.jsonl as they come, the report to DOCS/drawn_worlds.md and .json. All are simulated.
     """
@@ -39,17 +39,17 @@ class Options(PlayOptions):
     out: Path = Path("runs/drawn_worlds")
     docs: Path = Path("runs/drawn_worlds")
     count: int = 300
-    """insertions a variant"""
+    """insertions per variant"""
     objects: tyro.conf.Suppress[tuple[str, ...]] = PlayOptions.objects
     perception: Perception = "fields"
     drawn_n: int = 300
-    """how many worlds are drawn by Latin hypercube"""
+    """number of worlds drawn by Latin hypercube"""
     layer_share: float = 0.5
-    """of the drawn worlds that are played in the finer tier, which costs more"""
+    """share of the drawn worlds played in the finer tier, which is slower"""
     older: Path = Path("models")
     """folder of an earlier release"""
     paper_models: Path = Path("models/paper")
-    """folder of the paper's recipe"""
+    """folder with the networks of the paper's recipe"""
     seed: int = 1
 
 
@@ -91,7 +91,7 @@ def drawn_worlds_of(count: int, seed: int, layer_share: float) -> list[World]:
 
 
 def drawn_objects(out: Path, count: int, seed: int) -> list[str]:
-    """Drawn objects as files in OUT: a job names its object by a file."""
+    """Drawn objects as files in OUT, because a job names its object by a file."""
     folder = out / "objects"
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"object-{number:04d}.toml" for number in range(count)]
@@ -104,9 +104,9 @@ def drawn_objects(out: Path, count: int, seed: int) -> list[str]:
 class SealedOptions:
     """Play the sealed test of a release: worlds and starts follow from the networks' bytes and a counter.
 
-    Results go to OUT/insertions.jsonl as they come; the same command goes on where it was interrupted, and a larger
-    --count adds to it. The report goes to DOCS/foreign_world.md and .json, every insertion to
-    .csv, the last pictures of what failed to foreign_failures.png. All figures are simulated.
+    Results go to OUT/insertions.jsonl as they come; the same command resumes an interrupted test, and a larger --count
+    adds to it. The report goes to DOCS/foreign_world.md and .json, every insertion to .csv, the last pictures of the
+    failures to foreign_failures.png. All figures are simulated.
     """
 
     out: Path = Path("runs/sealed")
@@ -116,17 +116,17 @@ class SealedOptions:
     models: Path = field(default_factory=released_models)
     """folder of the release"""
     counter: int = 1
-    """which test of this release; a release is judged by the first"""
+    """number of the test of this release; the first one counts"""
     count: int = 100
-    """insertions a family, at most 500"""
+    """insertions per family, at most 500"""
     beside: tuple[Literal["bristle", "layer", "older", "oracle"], ...] = ("bristle",)
-    """who plays the first starts afterwards: tiers of our own physics; in the elements OLDER and an oracle"""
+    """what else plays the first starts: tiers of our own physics; with finite elements, OLDER and an oracle"""
     beside_count: int = 0
-    """insertions a family of each of these, a multiple of 5; 0 for all"""
+    """insertions per family for each of these, a multiple of 5; 0 for all"""
     older: Path = Path("models")
     """folder of an earlier release"""
     workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
-    """processes; 0 takes every core"""
+    """processes; 0 uses all cores"""
 
 
 def sealed(arguments: list[str]) -> int:
@@ -154,7 +154,7 @@ def sealed(arguments: list[str]) -> int:
 
 
 def _sealed_rows(options: SealedOptions, seal: str, begun: Sequence[test.Opened]) -> Iterator[tuple[str, list[Row]]]:
-    """The rows of the release in the elements, then of who plays beside it: of the first of the same starts."""
+    """Rows of the release in the finite elements, then those of the comparisons, from the first of the same starts."""
     first = begun[: len(test.FAMILIES) * (options.beside_count or options.count)]
     for cell in (test.WITNESS, *options.beside):
         todo = test.tasks(
@@ -168,14 +168,14 @@ def _sealed_rows(options: SealedOptions, seal: str, begun: Sequence[test.Opened]
 
 @dataclass(frozen=True)
 class DrawOptions:
-    """Write files NAME-0000.toml, NAME-0001.toml, ... over the ranges that cells have. Same seed, same files."""
+    """Write files NAME-0000.toml, NAME-0001.toml, ... over the ranges of real cells. Same seed, same files."""
 
     out: Path
     """new or empty folder"""
     count: int = 300
-    """how many"""
+    """number of files"""
     seed: int = 0
-    """of the draw"""
+    """seed of the draw"""
 
 
 def _write(options: DrawOptions, kind: str, tables: list[drawn.Tables], comment: Callable[[World], str]) -> int:

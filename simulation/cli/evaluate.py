@@ -18,25 +18,25 @@ from simulation.scene.worlds import World, files_in, known_object, load_objects,
 
 @dataclass(frozen=True)
 class Played:
-    """What every command states that plays insertions in lock step."""
+    """Options shared by all commands that play insertions in lock step."""
 
     models: Path = field(default_factory=released_models)
     """folder with the ONNX files to evaluate"""
     objects: tuple[str, ...] = object_names()
     """names, TOML files or folders of them"""
     count: int = 30
-    """insertions an object"""
+    """insertions per object"""
     perception: Perception = "pictures"
     """pictures: every frame is drawn, rectified and tracked. fields: the true marker fields, five times cheaper"""
     seed: int = 0
-    """of the start errors, grasps and noise"""
+    """seed of the start errors, grasps and noise"""
     workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
-    """processes; 0 takes every core"""
+    """processes; 0 uses all cores"""
     ray: str = ""
-    """address of a Ray cluster to work on instead of local processes ("local" starts one on this machine)"""
+    """address of a Ray cluster to use instead of local processes ("local" starts one on this machine)"""
 
     def check(self) -> None:
-        """Raise ValueError on a count or a folder of networks that allows nothing to be played."""
+        """Raise ValueError if the count or the folder of networks leaves nothing to play."""
         if self.count < 1:
             raise ValueError(f"--count {self.count}: expected at least 1")
         if not self.objects:
@@ -47,7 +47,7 @@ class Played:
 
 @dataclass(frozen=True)
 class PlayOptions(Played):
-    """Of the commands that write a page."""
+    """Options of the commands that write a page."""
 
     out: Path = Path("runs")
     """folder for results"""
@@ -55,7 +55,7 @@ class PlayOptions(Played):
     """folder for the report"""
 
     def play(self, todo: Sequence[Task], setup: Mapping[str, str]) -> list[Row]:
-        """Rows of all tasks; those that OUT already holds of the same code and networks are kept."""
+        """Rows of all tasks; OUT's rows of the same code and networks are kept."""
         campaign.claim(self.out, setup)
         return campaign.run(todo, self.out / "insertions.jsonl", workers=self.workers, ray=self.ray)
 
@@ -64,17 +64,17 @@ class PlayOptions(Played):
 class Options(Played):
     """Play insertions in lock step through the real service session, client state machine and ONNX files.
 
-    Every world is played with every object, from start errors drawn uniformly. JSON gets a list of rows, one for each
-    world and object; single insertions go to a log beside it as they come. A second call goes on where the first
-    stopped, also after a kill. All figures are simulated.
+    Every world is played with every object, from start errors drawn uniformly. JSON gets a list of rows, one per pair
+    of world and object; single insertions go to a log beside it as they come. A second call resumes the first, also
+    after a kill. All figures are simulated.
     """
 
     worlds: tuple[str, ...] = ()
-    """TOML files of worlds, or folders of them; the world that was trained for if left out"""
+    """TOML files of worlds, or folders of them; default: the training world"""
     cell: Literal["own", "foreign"] = "own"
-    """whose mechanics: the project's own, or finite elements that it was not built on"""
+    """mechanics: the project's own, or finite elements that it was not built on"""
     controller: Who = "belief"
-    """the service's, or the oracle: what is left if every move were the true error"""
+    """one of the service's, or the oracle, which moves by the true error (an upper bound)"""
     told_reach: bool = False
     """the client sends the gel's shear reach, with the error (15 %) of a cell that has measured it"""
     json: Path = Path("runs/evaluation.json")
@@ -82,7 +82,7 @@ class Options(Played):
 
 
 def main(arguments: list[str]) -> int:
-    """Play, write the rows and print a line for each; 0 also when insertions failed: the rows say so."""
+    """Play, write the rows and print a line for each; 0 even if insertions failed: the rows say so."""
     options = tyro.cli(Options, args=arguments, prog="tactile-insertion evaluate")
     options.check()
     todo = tasks(options)
@@ -96,7 +96,7 @@ def main(arguments: list[str]) -> int:
 
 
 def tasks(options: Options) -> list[Task]:
-    """Everything to play; results of other code or networks in the log are left alone."""
+    """Everything to play; logged results of other code or networks are ignored."""
     worlds, objects = (
         [load_world(file) for file in files_in(options.worlds)] or [World()],
         load_objects(options.objects),

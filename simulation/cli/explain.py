@@ -45,7 +45,7 @@ def frame_ms(scene: Scene) -> float:
 
 
 def cost(scene: Scene, key: str) -> str:
-    """What an effect that is on costs a poke or, where only pictures show it, a frame."""
+    """The cost of an active effect per poke or, where it shows only in pictures, per frame."""
     if key == "dropped_frames":
         return "frames are drawn and thrown away"
     measure, unit = (poke_ms, "poke") if key in IN_THE_PHYSICS else (frame_ms, "frame")

@@ -1,4 +1,4 @@
-"""`python -m simulation pace` and `choose`: what settings cost in seconds a box, and those for what a cell needs."""
+"""`python -m simulation pace` and `choose`: what settings cost in seconds per box, and settings for a cell's needs."""
 
 import sys
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ MADE_BY = "make pace"
 
 @dataclass(frozen=True)
 class Options(PlayOptions):
-    """Play the same starts in drawn worlds by every choice of settings, and say what each costs in seconds a box.
+    """Play the same starts in drawn worlds with every choice of settings, and report the cost in seconds per box.
 
     Results go to OUT/insertions.jsonl as they come; the report to DOCS/pace.md, .json and .png. All are simulated.
     Markers are the true fields with the tracker's error.
@@ -38,14 +38,14 @@ class Options(PlayOptions):
     kept: Path = Path("docs")
     """folder of the other pages' results, which the figures also show"""
     html: Path | None = None
-    """file for the figures to hover and zoom in, 5 MB; needs plotly"""
+    """file for the interactive figures, 5 MB; needs plotly"""
     count: int = 200
-    """starts"""
+    """number of starts"""
     seed: int = 85
     objects: tyro.conf.Suppress[tuple[str, ...]] = PlayOptions.objects
     perception: tyro.conf.Suppress[Perception] = "fields"
     draw: bool = False
-    """play nothing: write the page and its figure again from DOCS/pace.json"""
+    """play nothing: rewrite the page and its figure from DOCS/pace.json"""
 
 
 def main(arguments: list[str]) -> int:
@@ -70,19 +70,19 @@ def _played(options: PlayOptions, begun: Sequence[Start]) -> dict[str, Any]:
 
 
 def _folders(models: Path) -> dict[str, Path]:
-    """The networks of all choices by their folder's name."""
+    """The networks of all choices, by folder name."""
     return {point.networks or "belief": models / point.networks for point in POINTS}
 
 
 @dataclass(frozen=True)
 class ChooseOptions:
-    """Write the client's settings that keep a time, a success and a force, or say which come nearest.
+    """Write the client settings that meet a time, a success rate and a force, or say which come nearest.
 
-    The choices and what they reached are those of REPORT, or are played in WORLD.
+    The choices and their results come from REPORT, or are played in WORLD.
     """
 
     seconds_a_box: float
-    """at most, on the mean"""
+    """seconds per box, at most, on average"""
     success: float = 0.99
     """share of boxes inserted, at least"""
     max_force: float = 50.0
@@ -93,11 +93,11 @@ class ChooseOptions:
     out: Path = Path("pace.toml")
     """file for the settings, to be put into the client's cell.toml"""
     count: int = 48
-    """insertions a choice, with --world"""
+    """insertions per choice, with --world"""
 
 
 def choose(arguments: list[str]) -> int:
-    """0 if a choice keeps all that was asked for, 1 if only the nearest was written."""
+    """0 if a choice meets all limits, 1 if only the nearest was written."""
     options = tyro.cli(ChooseOptions, args=arguments, prog="tactile-insertion choose")
     wanted = choosing.Wanted(options.seconds_a_box, options.success, options.max_force)
     if options.world is None:

@@ -1,4 +1,4 @@
-"""Commands that hold the physics against references and its own promises."""
+"""Commands that check the physics against references and against its own guarantees."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -28,7 +28,7 @@ class AccuracyOptions:
     out: Path = Path("docs")
     """folder of the report"""
     repeats: int = 5
-    """runs of which the fastest counts"""
+    """number of runs; the fastest counts"""
 
 
 def accuracy(arguments: list[str]) -> int:
@@ -49,25 +49,25 @@ def accuracy(arguments: list[str]) -> int:
 class HardProbeOptions:
     """Run random hard probes: all objects, gel friction 0 to 2, soft and hard blocks, weak grips, coarse load steps.
 
-    Prints how they ended and the worst residual and friction cone of those solved; ends with status 2 where one that
-    calls itself solved is not finite, not balanced or outside a cone. The same seed gives the same probes. With --out
-    the page is written, and an interrupted run goes on where it stopped if the physics is still the same.
+    Prints how the probes ended, and the worst residual and friction cone of the solved ones. Exits with status 2 if a
+    probe reported as solved is not finite, not balanced or outside a cone. The same seed gives the same probes. With
+    --out the page is written, and an interrupted run resumes if the physics is unchanged.
     """
 
     count: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 10_000
-    """probes"""
+    """number of probes"""
     seed: int = 12
-    """of the probes; number k of a seed is always the same probe"""
+    """seed of the probes; number k of a seed is always the same probe"""
     tier: Literal["bristle", "layer", "foreign"] = "bristle"
     """pads to press with; foreign: finite elements, of rubber that ends 1 mm beyond the markers"""
     workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
-    """processes; 0 takes every core"""
+    """processes; 0 uses all cores"""
     out: Path | None = None
-    """folder for hard_probes.TIER.json and, but for foreign, hard_probes.md; none: print only"""
+    """folder for hard_probes.TIER.json and, except for foreign, hard_probes.md; default: print only"""
 
 
 def hard_probes(arguments: list[str]) -> int:
-    """Run what an earlier call left to do, and write how the probes ended."""
+    """Run the probes that an earlier call has not done, and write how all of them ended."""
     options = tyro.cli(HardProbeOptions, args=arguments, prog="tactile-insertion hard-probes")
     if options.count < 1 or options.workers < 0:
         raise ValueError(f"expected --count >= 1 and --workers >= 0, got {options.count} and {options.workers}")
@@ -92,7 +92,7 @@ def hard_probes(arguments: list[str]) -> int:
 
 
 def _begun(path: Path | None, setup: dict[str, Any], count: int) -> probes.Tally:
-    """What an earlier run of the same probes on the same physics left, or nothing."""
+    """The results of an earlier run of the same probes on the same physics, or an empty tally."""
     if path is None or not path.is_file():
         return probes.Tally()
     try:
@@ -105,10 +105,10 @@ def _begun(path: Path | None, setup: dict[str, Any], count: int) -> probes.Tally
 
 @dataclass(frozen=True)
 class ForeignCheckOptions:
-    """Hold the foreign cell's finite elements against CalculiX (`ccx`), and all tiers against the finest mesh.
+    """Check the foreign cell's finite elements against CalculiX (`ccx`), and all tiers against the finest mesh.
 
-    Rows go to RUNS as they come; the same command goes on where it was interrupted, if the code is still the same.
-    The page and its data are foreign_check.md and .json. Without `ccx` nothing is done.
+    Rows go to RUNS as they come; the same command resumes if the code is unchanged. The page and its data are
+    foreign_check.md and .json. Without `ccx` nothing is done.
     """
 
     out: Path = Path("docs")
@@ -118,7 +118,7 @@ class ForeignCheckOptions:
 
 
 def foreign_check(arguments: list[str]) -> int:
-    """Ask CalculiX, measure, then write the page."""
+    """Run CalculiX, measure, then write the page."""
     options = tyro.cli(ForeignCheckOptions, args=arguments, prog="tactile-insertion foreign-check")
     if not options.out.is_dir():
         raise ValueError(f"--out {options.out}: no such folder")
@@ -142,7 +142,7 @@ def foreign_check(arguments: list[str]) -> int:
 
 
 def _kept_rows(log: Path, parts: list[tuple[str, list[Any]]]) -> dict[str, Any]:
-    """The rows of every part, by name; those that the log holds already are not made again."""
+    """The rows of every part, by name; rows already in the log are not recomputed."""
     log.parent.mkdir(parents=True, exist_ok=True)
     done, data = {(each["part"], each["number"]): each["rows"] for each in read_rows(log)}, dict[str, Any]()
     with log.open("a") as file, progress("probes", sum(len(todo) for _, todo in parts)) as show:

@@ -1,4 +1,4 @@
-"""Commands that show what one poke of the simulated cell does and what its sensor records."""
+"""Commands that show what happens in one poke of the simulated cell and what its sensor records."""
 
 import argparse
 from pathlib import Path
@@ -19,7 +19,7 @@ from simulation.studies import imprint as study
 
 
 def pictures(scene: Scene, probe: Probe, seed: int) -> list[NDArray[np.uint8]]:
-    """Rectified frames of both fingers side by side, uint8 [H, 2 W, 3] BGR, one a kept frame."""
+    """Rectified frames of both fingers side by side, uint8 [H, 2 W, 3] BGR, one per kept frame."""
     renderers = [Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS]
     out = []
     for i, gel in enumerate(probe.gel.astype(np.float32)):
@@ -30,7 +30,7 @@ def pictures(scene: Scene, probe: Probe, seed: int) -> list[NDArray[np.uint8]]:
 
 
 def save(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> None:
-    """The last frame as .png, or all of them as .mp4. Raises ValueError for another ending or where writing fails."""
+    """Save the last frame as .png, or all as .mp4. Raises ValueError for another suffix or where writing fails."""
     if path.suffix == ".png":
         if not cv2.imwrite(str(path), frames[-1]):
             raise ValueError(f"--save: {path} cannot be written")

@@ -1,4 +1,4 @@
-"""Commands that run the cell with service and robot client around it: they start processes, and solve nothing."""
+"""Commands that run the cell with service and robot client around it; they only start processes."""
 
 import contextlib
 import json
@@ -25,14 +25,14 @@ FAILED_COUNTS_AS = 16
 
 @dataclass(frozen=True)
 class RunCommand(RunOptions):
-    """What the command line adds to a run."""
+    """Options that only the command line has."""
 
     json: bool = False
-    """Print the results as JSON, all else to standard error."""
+    """Print the results as JSON, all other output to standard error."""
 
 
 def run(arguments: list[str]) -> int:
-    """The whole loop: exit 0 if every insertion succeeded, 1 if one did not, 2 on wrong input."""
+    """Run the whole loop: exit 0 if every insertion succeeded, 1 if one did not, 2 on invalid input."""
     options = tyro.cli(RunCommand, args=arguments, prog="tactile-insertion run", description=run.__doc__)
     todo = starts(options)
 
@@ -63,7 +63,7 @@ def demo(arguments: list[str]) -> int:
 
 
 def exit_status(command: str, work: Callable[[], int]) -> int:
-    """The status of work done in child processes: 2 if a child refused its input, 1 if it failed, 130 on SIGINT."""
+    """Exit status of work in child processes: 2 if a child refused its input, 1 if it failed, 130 on SIGINT."""
     terminate_as_interrupt()
     try:
         return work()

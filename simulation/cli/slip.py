@@ -14,12 +14,12 @@ from simulation.studies.slip import detection, grasps, report, tracking
 
 @dataclass(frozen=True)
 class SlipOptions:
-    """Measure how well slip is detected, and what that costs; write slip_report.md and .json."""
+    """Measure how well slip is detected, and at what cost; write slip_report.md and .json."""
 
     trials: int = 320
-    """trials in all"""
+    """total number of trials"""
     seed: int = 1
-    """of the trials"""
+    """seed of the trials"""
     fps: Literal[30, 60, 90] = 30
     """camera rate"""
     out: Path = Path("docs")
@@ -45,9 +45,9 @@ class GraspOptions:
     rows: Path = Path("runs/judge.json")
     """rows of all recordings"""
     evidence: Path = Path("runs/evidence.json")
-    """what the slide witness read in each frame of them"""
+    """readings of the slide witness in each frame of them"""
     labels: Path = Path("tests/service/tools/real_slips.json")
-    """what is seen in each"""
+    """labels: what is visible in each recording"""
     out: Path = Path("docs")
     """folder of the page"""
 

@@ -17,21 +17,18 @@ from simulation.studies import trust
 
 @dataclass(frozen=True)
 class Options(PlayOptions):
-    """Play insertions with a drawn world, object, start and fault each, and count the claims that are not true.
-
-    Results go to OUT/insertions.jsonl as they come, the report to DOCS/trust.md and .json. All figures are simulated.
-    """
+    """Play insertions, each with a drawn world, object, start and fault, and count the false claims."""
 
     out: Path = Path("runs/trust")
     docs: Path = Path("runs/trust")
     count: int = 10_000
-    """insertions"""
+    """number of insertions"""
     worlds: tuple[Path, ...] = ()
-    """TOML files of worlds, or folders of them, beside the drawn ones"""
+    """TOML files of worlds, or folders of them, in addition to the drawn ones"""
     drawn_n: int = 200
-    """how many worlds are drawn by Latin hypercube"""
+    """number of worlds drawn by Latin hypercube"""
     layer_share: float = 0.02
-    """of the drawn worlds that are played in the finer tier, which costs more"""
+    """share of the drawn worlds played in the finer tier, which is slower"""
     seed: int = 1
     perception: tyro.conf.Suppress[Perception] = "fields"
 

@@ -24,9 +24,9 @@ def drawn_starts(scene: Scene, count: int, seed: int) -> list[tuple[float, float
 def tasks(
     worlds: Sequence[World], objects: Mapping[str, Scene], count: int, seed: int, models: Path, made_by: str, **job: Any
 ) -> list[Task]:
-    """``count`` insertions of each pair, the n-th of all before the next; an object starts alike in every world.
+    """``count`` insertions of each pair, ordered by start; an object has the same starts in every world.
 
-    ``job``: fields of `Job` that all share. Raises SceneError where a world and an object do not fit.
+    ``job``: fields of `Job` shared by all. Raises SceneError where a world and an object do not fit.
     """
     for world in worlds:
         for scene in objects.values():
@@ -41,7 +41,7 @@ def tasks(
 
 
 def table(rows: Sequence[Row]) -> list[Row]:
-    """One row a (world, object), in the order in which they were played first."""
+    """One row per (world, object), in the order in which they were first played."""
     pairs = dict.fromkeys((row["condition"], row["scene"]) for row in rows)
     return [
         {
@@ -58,7 +58,7 @@ def table(rows: Sequence[Row]) -> list[Row]:
 
 
 def first_answers(rows: Sequence[Row]) -> Row:
-    """Directions, absolute errors and coverage of the 90 % intervals of the first decisions; None without any."""
+    """Directions, absolute errors and 90 % interval coverage of the first decisions; None without any."""
     right, off, covered = 0, [], []
     firsts = first_decisions(rows)
     for trial in firsts:
@@ -84,5 +84,5 @@ def _holds(interval: Sequence[float] | None, truth: float) -> bool:
 
 
 def _cause(reason: str) -> str:
-    """Who ended it and why, without the details; a cell that is wired wrong with what is wrong with it."""
+    """Who ended it and why, without details; for a miswired cell also the mistake."""
     return reason if "contradictory" in reason else ": ".join(reason.split(": ")[:2])

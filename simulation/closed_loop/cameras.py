@@ -31,13 +31,13 @@ class Camera(Protocol):
 
 
 def own_cameras(scene: Scene, seed: int) -> tuple[Camera, Camera]:
-    """Both fingers', drawn by `simulation.optics`."""
+    """Cameras of both fingers, drawn by `simulation.optics`."""
     left, right = (Renderer(Appearance.draw(scene, finger, seed)) for finger in FINGERS)
     return left, right
 
 
 def foreign_cameras(scene: Scene, seed: int) -> tuple[Camera, Camera]:
-    """Both fingers' in the cell of finite elements."""
+    """Cameras of both fingers in the cell of finite elements."""
     from simulation.foreign import pictures
 
     camera, active = scene.camera, active_effects(scene)

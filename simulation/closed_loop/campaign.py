@@ -1,7 +1,6 @@
-"""Many insertions on all cores or on a cluster, logged a line each, so that a killed run can continue.
+"""Many insertions on all cores or on a cluster, logged one per line, so that a killed run can resume.
 
-The log is only valid for the networks, the physics, the service and the client it was made with: `claim` refuses to
-go on with others.
+A log is valid only for the networks, the physics, the service and the client that produced it: `claim` refuses others.
 """
 
 import hashlib
@@ -24,7 +23,7 @@ PLAYED_BY = "code of the simulator, the service or the client"
 class Task:
     """One insertion to play: the folder of its networks and the fields of its `simulation.closed_loop.job.Job`.
 
-    ``made_by``: fingerprint of code and networks, where a log keeps results of several.
+    ``made_by``: fingerprint of code and networks, for logs that hold results of several.
     """
 
     models: Path
@@ -33,16 +32,16 @@ class Task:
 
     @property
     def key(self) -> str:
-        """What a resumed run recognises its row by."""
+        """The key by which a resumed run recognises its row."""
         return key_of({**self.job, "made_by": self.made_by})
 
     def made(self, row: Row) -> bool:
-        """Whether a logged row came of this very job, not of one of the same name under another disturbance."""
+        """True if a logged row belongs to exactly this job, not to one of the same name under another disturbance."""
         return all(row.get(name) == value for name, value in self.job.items())
 
 
 def key_of(row: Mapping[str, Any]) -> str:
-    """Key of a job or of the row that came of it."""
+    """Key of a job or of its row."""
     return "/".join(
         str(row.get(name, ""))
         for name in ("condition", "scene", "controller", "perception", "seed", "index", "made_by", "cell")
@@ -68,12 +67,12 @@ def fingerprint(folders: Mapping[str, Path]) -> dict[str, str]:
 
 
 def made_by(folders: Mapping[str, Path]) -> str:
-    """A short name for code and networks, for logs that keep results of several."""
+    """A short name for code and networks, for logs that hold results of several."""
     return hashlib.sha256(json.dumps(fingerprint(folders), sort_keys=True).encode()).hexdigest()[:16]
 
 
 def claim(out: Path, setup: Mapping[str, str]) -> None:
-    """Make the folder this run's; ValueError if what lies there was made with other networks or other code."""
+    """Claim the folder for this run; raises ValueError if it holds results of other networks or other code."""
     out.mkdir(parents=True, exist_ok=True)
     path = out / "setup.json"
     if path.exists():
@@ -101,7 +100,7 @@ def _setup(path: Path) -> dict[str, str]:
 
 
 def run(tasks: Sequence[Task], log: Path, *, workers: int = 0, ray: str = "") -> list[Row]:
-    """Play what the log lacks, with progress and ETA; the row of each of ``tasks`` once, in their order."""
+    """Play what the log lacks, with progress and ETA; returns the row of each of ``tasks`` once, in their order."""
     wanted = {task.key: task for task in tasks}
     rows = {key: row for row in read_rows(log) if (key := key_of(row)) in wanted and wanted[key].made(row)}
     missing = [task for key, task in wanted.items() if key not in rows]
@@ -116,7 +115,7 @@ def run(tasks: Sequence[Task], log: Path, *, workers: int = 0, ray: str = "") ->
 
 
 def _end_line(log: Path) -> None:
-    """A kill may have cut the last line; what comes next must not be glued to it."""
+    """End a last line that a kill has cut, so that the next row starts on its own line."""
     if log.exists() and log.stat().st_size and not log.read_bytes().endswith(b"\n"):
         with log.open("a", encoding="utf-8") as file:
             file.write("\n")

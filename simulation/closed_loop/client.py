@@ -1,4 +1,4 @@
-"""The client that is played in lock step: its plan, and how its arm goes down."""
+"""The client as played in lock step: its plan, and how its arm descends."""
 
 from typing import Any
 
@@ -12,22 +12,21 @@ from robot_client.settings import Settings, load_settings
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, LockstepCell, Walk
 
-ABOVE_MM = 30.0  # where a played client's arm starts, above its usual approach
-SETTLE_S = 0.1  # from the end of a ramp, or of the stop lag, until the client takes the arm to stand still
+ABOVE_MM = 30.0  # start of a played client's arm, above its usual approach
+SETTLE_S = 0.1  # from the end of a ramp, or of the stop lag, until the client takes the arm as at rest
 
 
 FIXTURE_MM, RETREAT_MM, GRIPPER_S = 300.0, 40.0, 1.0
-"""From the gap to where an object is regrasped, how far up before that, and what opening or closing the fingers
-takes, as a cell may be."""
+"""Path from the gap to the regrasp place, the lift before it, and the time to open or close the fingers of a cell."""
 
 
 def longest_travel_mm(speed_mm_s: float) -> float:
-    """The longest motion lease that may be asked for at a speed, mm."""
+    """The longest motion lease that may be requested at a speed, mm."""
     return max(SLOW_MM, FAST_S * speed_mm_s)
 
 
 def client_of(job: Job) -> Settings | None:
-    """What the client is set to, None where the scene says how the arm moves. Raises SettingsError."""
+    """The client's settings, None where the scene defines how the arm moves. Raises SettingsError."""
     return load_settings(None, dict(job.client)) if job.client else None
 
 
@@ -39,7 +38,7 @@ def plan_of(
     top_mm_s = max(limits.max_descent_speed_mm_s, scene.speed_mm_s)
     limits = limits.model_copy(update={"max_descent_speed_mm_s": top_mm_s})
     descend = ramps.descend.model_copy(update={"speed_mm_s": scene.speed_mm_s})
-    room_mm = approach.z_mm - scene.full_depth_mm - limits.z_mm[0]  # a part held low leaves none for its creep
+    room_mm = approach.z_mm - scene.full_depth_mm - limits.z_mm[0]  # a part held low leaves no room for its creep
     plan = Plan(
         insertion_id="simulated",
         approach=approach,
@@ -59,7 +58,7 @@ def plan_of(
 
 
 def _as_set(plan: Plan, client: Settings) -> Plan:
-    """The plan with what a client is set to: its ramps, leases and pace, and its clearance at the approach."""
+    """The plan with the client's settings: its ramps, leases and pace, and its clearance at the approach."""
     lower_mm = plan.clearance_mm - client.task.approach_clearance_mm
     return plan.model_copy(
         update={
@@ -81,14 +80,14 @@ def walk_of(plan: Plan, here: WorkPose, move: Move) -> Walk:
 
 
 def seconds_of_frames(attempt: Any) -> float | None:
-    """From the onset of motion to the last frame that the decision of a `service.decision.attempt.Attempt` rests on."""
+    """Time from motion onset to the last frame behind the decision of a `service.decision.attempt.Attempt`, s."""
     if attempt is None or attempt.onset_ns is None or not attempt.decision_pairs:
         return None
     return float(attempt.decision_pairs[-1].captured_ns - attempt.onset_ns) / 1e9
 
 
 def trip_s(plan: Plan) -> float:
-    """What it takes to put an object back into its fixture and to come again with it, s: up, over, down, and over."""
+    """Time to put an object back into its fixture and return with it, s: up, over, down, and over."""
     here = plan.approach
     up = here.at_height(here.z_mm + RETREAT_MM)
     away = here.model_copy(update={"y_mm": here.y_mm + FIXTURE_MM})

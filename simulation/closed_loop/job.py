@@ -1,4 +1,4 @@
-"""What is played in the closed loop and what came of it."""
+"""A job of the closed loop and its outcome."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -17,24 +17,31 @@ from simulation.scene.worlds import World, load_scene
 Perception = Literal["pictures", "fields"]
 Who = Literal["belief", "heuristic", "oracle"]
 MEASURED = 0.15
-"""Standard deviation of the logarithm of a shear reach that a cell has measured by a press until slip."""
+"""Standard deviation of the logarithm of a shear reach that a cell has measured by pressing until slip."""
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One insertion to play: object, start error, seed, who decides, what it perceives, and the world.
+    """One insertion to play: object, start error, seed, controller, perception, and world.
 
-    ``scene`` is an object by name or path. The start error is the one that the arm was commanded to. It is also
-    the object's, unless the world misplaces the hand. ``condition`` names the world or disturbance; ``changes`` are
-    its dotted keys of the scene, ``unstated`` those of its table `[world]`.
-    ``told_reach``: the client also tells the gel's shear reach, with the error of a cell that has measured it.
-    ``controller``: one of the service's, or the oracle, which moves by the true error: what is left is the first
+    ``scene`` is an object by name or path. The start error is the commanded one. It is also the object's, unless the
+    world misplaces the hand.
+
+    ``condition`` names the world or disturbance; ``changes`` are its dotted keys of the scene, ``unstated`` those of
+    its table `[world]`.
+
+    ``told_reach``: the client also sends the gel's shear reach, with the error of a cell that has measured it.
+
+    ``controller``: one of the service's, or the oracle, which moves by the true error: its remaining cost is the first
     attempt and the creep in the hand.
-    ``fault``: the fields of a `simulation.closed_loop.true_fields.Fault`, for perception "fields" alone.
-    Perception "fields" takes the markers from the simulated gel instead of from pictures. ``cell`` "foreign": the
-    mechanics are those of finite elements, the pictures its own. ``client``: tables of the client's configuration as
-    in `cell.toml`; with them the arm starts above the approach and keeps its ramps, the descent's own and the time to
-    settle.
+
+    ``fault``: the fields of a `simulation.closed_loop.true_fields.Fault`, for perception "fields" only. Perception
+    "fields" takes the markers from the simulated gel instead of from pictures.
+
+    ``cell`` "foreign": finite elements for the mechanics, with their own pictures.
+
+    ``client``: tables of the client's configuration as in `cell.toml`; with them the arm starts above the approach and
+    follows the client's ramps, descent and settling time.
     """
 
     scene: str
@@ -57,22 +64,22 @@ class Job:
         return load_scene(self.scene, blocks__free=True).varied(self.changes)
 
     def measured_reach_mm(self, scene: Scene) -> float | None:
-        """The gel's shear reach as the client sends it, mm; None where nobody measured it."""
+        """The gel's shear reach as the client sends it, mm; None if it was not measured."""
         if not self.told_reach:
             return None
         factor = math.exp(MEASURED * float(np.random.default_rng((self.seed, 2)).normal()))
         return factor * shear_reach_pitches(scene) * scene.sensor.marker_pitch_mm
 
     def mechanics(self) -> Callable[[Scene, int], Cell]:
-        """What makes the cell's mechanics of a scene and a seed."""
+        """Constructor of the cell's mechanics from a scene and a seed."""
         if self.cell != "foreign":
             return QuasiStaticCell
-        from simulation.foreign.cell import ForeignCell  # brings scipy and scikit-fem
+        from simulation.foreign.cell import ForeignCell  # imports scipy and scikit-fem
 
         return ForeignCell
 
     def cameras(self) -> Callable[[Scene, int], tuple[Camera, Camera]]:
-        """What makes both fingers' cameras of a scene and a seed."""
+        """Constructor of both fingers' cameras from a scene and a seed."""
         return foreign_cameras if self.cell == "foreign" else own_cameras
 
 
@@ -95,10 +102,10 @@ def job_in(world: World, scene: str, index: int, start: tuple[float, float], see
 
 @dataclass(slots=True)
 class Course:
-    """What happened to object and blocks up to now; lengths in mm, angles in deg.
+    """Motion of object and blocks so far; lengths in mm, angles in deg.
 
-    ``in_hand_mm`` is the object's largest displacement in the hand against the grasp (elastic and slipped),
-    ``slipped_mm`` what of it was left once the object was in the air again.
+    ``in_hand_mm`` is the object's largest displacement in the hand since the grasp (elastic and slipped),
+    ``slipped_mm`` the part of it that remained once the object was in the air again.
     """
 
     block_mm: float = 0.0
@@ -111,13 +118,13 @@ class Course:
 
 @dataclass(slots=True)
 class Outcome:
-    """One insertion: what was tried and how it ended. Errors are (x mm, theta deg) of the object before an attempt.
+    """One insertion: its attempts and how it ended. Errors are (x mm, theta deg) of the object before an attempt.
 
-    ``inserted`` is a claim that is true, ``claimed`` what the client believes, ``in_gap`` the ground truth whether
-    claimed or not, ``shortfalls`` what speaks against it; ``grasps``: how often it was taken; ``void``: the physics
-    came to its end. ``seconds``: where the time went, see `Seconds`. ``fault_acted``: whether its fault came about.
-    ``unseen_mm``: the furthest that the arm went down after the capture of a judged frame before the next one, where
-    the client's lease allows ``unseen_allowed_mm``.
+    ``inserted``: a true claim. ``claimed``: what the client believes. ``in_gap``: the ground truth, claimed or not.
+    ``shortfalls``: the evidence against insertion. ``grasps``: number of grasps. ``void``: the physics failed.
+    ``seconds``: where the time went, see `Seconds`. ``fault_acted``: whether its fault took effect. ``unseen_mm``: the
+    furthest descent after the capture of one judged frame and before the next, where the client's lease allows
+    ``unseen_allowed_mm``.
     """
 
     inserted: bool
@@ -139,6 +146,6 @@ class Outcome:
 
     @classmethod
     def never_held(cls, job: Job, reason: str) -> "Outcome":
-        """Of an object that could not even be grasped."""
+        """The outcome for an object that could not be grasped at all."""
         start = (job.x_mm, job.theta_deg)
         return cls(False, False, 0, reason, True, start, grasp_kept=False, course=Course())

@@ -1,6 +1,6 @@
-"""The arm and the cameras of the simulated cell in lock step: time passes a frame at a time, as fast as it computes.
+"""Arm and cameras of the simulated cell in lock step: time advances by one frame at a time, as fast as it computes.
 
-Nothing here decides anything. A stop takes effect after the controller's lag: overtravel is part of every attempt.
+Nothing here decides. A stop takes effect after the controller's lag, so overtravel is part of every attempt.
 """
 
 import dataclasses
@@ -24,26 +24,26 @@ from simulation.scene.state import Cell, CellState, PhysicsError
 from simulation.scene.unstated import Misplacement, Pose, Unstated
 
 START_NS = 1_000_000_000
-CREEP_ALLOWANCE_MM = 4.0  # what a client may go deeper for a part pushed up in the hand: the gap here has no floor
-MAX_UNSOLVED = 6  # moves in a row without an equilibrium: the cell cannot say what happens, the insertion is void
+CREEP_ALLOWANCE_MM = 4.0  # extra depth a client may use for a part pushed up in the hand: the gap here has no floor
+MAX_UNSOLVED = 6  # consecutive moves without an equilibrium before the cell is lost and the insertion void
 Image = NDArray[np.uint8]
 Walk = Callable[[float], float]
-"""Way of a descent in mm after so many seconds."""
+"""Travel of a descent in mm after a time in s."""
 _ROUNDING_MM = 1e-6
 
 
 class GraspEndError(Exception):
-    """The object left the grasp as far as it is simulated: what the gels would see from here on is not known."""
+    """The object left the grasp as far as it is simulated: the gel states from here on are unknown."""
 
 
 @dataclass(slots=True)
 class LockstepCell:
     """Scene, hand and cameras with one clock. Poses are the TCP's, mm and deg, in the work-object frame.
 
-    Poses are told ones, see `unstated`; the object's error and its depth are true. With ``draws`` False frames carry
-    no picture (uint8 [0, 0, 3]): for perception that reads the gel itself. A camera with latency
-    shows the gel of so long ago, stamped when the frame arrives; after a travel, the gel at rest from the first on.
-    ``still_s``: since a descent ended.
+    Poses are the reported ones, see `unstated`; the object's error and its depth are true. With ``draws`` False frames
+    carry no picture (uint8 [0, 0, 3]), for perception that reads the gel itself. A camera with latency shows the gel at
+    that much earlier a time, stamped when the frame arrives; after a travel it shows the gel at rest from the first
+    frame. ``still_s``: time since the end of a descent.
     """
 
     scene: Scene
@@ -61,7 +61,7 @@ class LockstepCell:
     shots: deque[CellState] = field(init=False)
     course: Course = field(default_factory=Course)
     speed_mm_s: float = field(init=False)
-    pausing: bool = False  # the arm stands in the midst of a descent
+    pausing: bool = False  # the arm pauses within a descent
     _grasped: NDArray[np.float64] = field(init=False)
     _stuck: int = 0
     _law: Walk | None = None
@@ -107,13 +107,13 @@ class LockstepCell:
 
     @property
     def pose(self) -> tuple[float, float, float, float]:
-        """TCP x, y, z in mm and yaw in deg, as the arm says."""
+        """TCP x, y, z in mm and yaw in deg, as the arm reports it."""
         return self.misplaced.reported(_pose_of(self.physics))
 
     def travel(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float, duration_s: float) -> None:
-        """Go there in a straight line; no frame is looked at on the way.
+        """Move there in a straight line; no frame is taken on the way.
 
-        Raises PhysicsError where the cell finds no way.
+        Raises PhysicsError if the cell finds no equilibrium on the way.
         """
         target = self.misplaced.true((x_mm, y_mm, z_mm, yaw_deg))
         way = np.subtract(target, _pose_of(self.physics)) * (1.0, 1.0, 1.0, math.radians(1.0))
@@ -127,14 +127,14 @@ class LockstepCell:
         self.now_ns += round(duration_s * 1e9)
 
     def take_afresh(self, x_mm: float, y_mm: float, yaw_deg: float, duration_s: float) -> None:
-        """Put the object back into its fixture, take it upright and stand above that place; raises PhysicsError."""
+        """Put the object back into its fixture, regrasp it upright and return above that place. Raises PhysicsError."""
         self.physics.regrasp(0.0, 0.0)
         self.state = self.physics.look()
         self._grasped = self.state.in_hand[:3].copy()
         self.travel(x_mm, y_mm, self.misplaced.approach[2], yaw_deg, duration_s)
 
     def descend(self, bottom_z_mm: float, law: Walk | None = None) -> None:
-        """Begin to go down at the scene's speed, or by ``law``; every `next_pair` shows what came of it.
+        """Begin a descent at the scene's speed, or by ``law``; every `next_pair` shows the result.
 
         Raises GraspEndError if an earlier descent pushed the object out of its grasp.
         """
@@ -149,12 +149,12 @@ class LockstepCell:
             self.bottom_z_mm = max(self.bottom_z_mm, self.pose[2] - lag_mm)
 
     def next_pair(self, *, look: bool = True) -> FramePair:
-        """Advance one frame period and take both fingers' frames, drawn if anyone is to ``look`` at them.
+        """Advance one frame period and take both fingers' frames, drawn only with ``look``.
 
         Raises PhysicsError when the cell is lost for good.
         """
         self.now_ns += round(1e9 / self.scene.fps)
-        after = self._late_periods % 1.0  # of a period, from the exposure to the moment at which its like arrives
+        after = self._late_periods % 1.0  # in periods, from the exposure to the arrival of the frame of the same phase
         self._pass(1.0 - after)
         self.shots.append(self.state)
         if after > 0.0:
@@ -183,7 +183,7 @@ class LockstepCell:
         return FramePair(left, right)
 
     def arrived(self) -> tuple[bool, bool]:
-        """Which of the two frames taken last reached the service: cameras drop a share of them, each for itself."""
+        """Whether each of the last two frames reached the service: cameras drop a share of them independently."""
         if (share := dropped_share(self.scene)) <= 0.0:
             return True, True
         lost = np.random.default_rng(hash_seed(self.seed, self.frame, 99)).random(2) < share
@@ -194,11 +194,11 @@ class LockstepCell:
         return self.scene.camera.latency_ms * 1e-3 * self.scene.fps
 
     def _rest(self) -> None:
-        """All frames that are still to come show the gel as it is now."""
+        """All frames still to come show the present gel."""
         self.shots.extend([self.state] * (self.shots.maxlen or 0))
 
     def _pass(self, periods: float) -> None:
-        """Advance by a share of a frame period."""
+        """Advance by a fraction of a frame period."""
         passed_s = periods / self.scene.fps
         if self.moving and not self.pausing:
             x, y, z, yaw = _pose_of(self.physics)
@@ -214,7 +214,7 @@ class LockstepCell:
             self._do(lambda: self.physics.wait(passed_s))
 
     def _way_mm(self, passed_s: float) -> float:
-        """How far the arm goes down in that time."""
+        """Downward travel of the arm in that time."""
         way_mm = self._ahead_mm(passed_s)
         if self._law is not None:
             self.physics.pace_mm_s = max(way_mm / passed_s, 1e-3)
@@ -225,27 +225,27 @@ class LockstepCell:
         return law(walked_s + passed_s) - law(walked_s) if law else self.speed_mm_s * passed_s
 
     def _finger_at(self, index: int) -> int:
-        """Which finger is seen by the camera that is called ``index`` (0 left, 1 right)."""
+        """Index of the finger seen by the camera called ``index`` (0 left, 1 right)."""
         return 1 - index if self.unstated.swapped_fingers else index
 
     def view(self, index: int) -> Camera:
-        """What draws the frames that come under a finger's name."""
+        """The camera that draws the frames under a finger's name."""
         return self.cameras[self._finger_at(index)]
 
     def gels(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The gel that the last frame of that name shows, and what the frame before it showed."""
+        """The gel in the last frame of that name, and in the frame before it."""
         finger = self._finger_at(index)
         return self.shots[1].gel[finger], self.shots[0].gel[finger]
 
     def calibration(self, index: int) -> CameraCalibration:
-        """What the software takes for that camera's calibration."""
+        """The calibration that the software uses for that camera."""
         exact = self.view(index).calibration
         centre = 0.5 * (exact.rectified.width_px - 1), 0.5 * (exact.rectified.height_px - 1)
         wrong = self.unstated.residual_px(index, centre)
         return exact if wrong is None else dataclasses.replace(exact, homography=wrong @ exact.homography)
 
     def picture_later(self, index: int) -> Callable[[], Image]:
-        """A finger's raw frame of this moment, drawn when it is asked for: the same bits then as now."""
+        """A finger's raw frame of this moment, drawn on request with the same bits as now."""
         (gel, before), seed = self.gels(index), hash_seed(self.seed, self.frame, index)
         camera, mirrored = self.view(index), self.unstated.mirrored[index]
 
@@ -256,7 +256,7 @@ class LockstepCell:
         return draw
 
     def _go(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> bool:
-        """Advance; False where no equilibrium was found: the arm is then late by a part of the move."""
+        """Advance; False where no equilibrium was found: the arm then lags by a part of the move."""
         return self._do(lambda: self.physics.move_to(x_mm, y_mm, z_mm, yaw_deg))
 
     def _do(self, motion: Callable[[], CellState]) -> bool:
@@ -293,5 +293,5 @@ _NOTHING: Image = np.zeros((0, 0, 3), np.uint8)
 
 
 def hash_seed(*parts: int) -> int:
-    """One seed out of several numbers, the same on every machine."""
+    """One seed from several numbers, the same on every machine."""
     return int(np.random.SeedSequence(parts).generate_state(1)[0])

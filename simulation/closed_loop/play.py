@@ -1,8 +1,8 @@
-"""The closed loop faster than real time: the service's own session and the robot client's own state machine.
+"""The closed loop faster than real time, with the service's own session and the robot client's own state machine.
 
 `python -m simulation evaluate` runs the paper's test protocol in lock step: rendered frames go through the service's
-perception, the shipped ONNX files and its controller; what it answers goes through the client's insertion machine.
-With `client` and `session`, this is the one module of the simulator that imports them.
+perception, the shipped ONNX files and its controller; the answers go through the client's insertion machine. With
+`client` and `session`, this is the only module of the simulator that imports them.
 """
 
 from collections import deque
@@ -49,7 +49,7 @@ from simulation.closed_loop.unseen import Unseen
 from simulation.scene.state import PhysicsError
 from simulation.scene.unstated import Unstated
 
-MAX_FRAMES = 4000  # at 30 frames a second and 10 mm/s
+MAX_FRAMES = 4000  # at 30 frames per second and 10 mm/s
 FAR = Limits(max_dx_mm=45.0, max_dtheta_deg=45.0)  # the oracle's: no error is too large for it
 
 
@@ -73,22 +73,22 @@ class Insertion:
         self._troubles = {finger: Trouble(fault) for finger in fault.fingers} if fault else {}
         self._make_session = partial(session_of, models, cell, controller, perception, self._troubles)
         self.session = self._make_session()
-        if self.oracle:  # nobody listens to the networks
+        if self.oracle:  # the networks' answers are not used
             self.session.submit = self._skip_networks
         self.client = client
         self.grasps = 1
-        self._tried = 0  # attempts with the object as it was taken before
+        self._tried = 0  # attempts with the object in its earlier grasps
         self.state = State(plan_of(cell, self._pose(), FAR if self.oracle else Limits(), reach_mm, client))
         self.seconds, self.unseen = Seconds(), Unseen()
         self.trials: list[dict[str, Any]] = []
-        self.until: frozenset[Phase] = frozenset()  # phases in which to stop playing
-        self.before = cell.state  # what it was when the descent began, hanging free
+        self.until: frozenset[Phase] = frozenset()  # phases that stop the play
+        self.before = cell.state  # the unloaded state at the start of the descent
         self._events: deque[Event] = deque()
         self._standing = False
         self._skipped: list[Work] = []
 
     def run(self) -> Outcome:
-        """Play the insertion to its end; where the physics comes to its end, it is void and counts as failed."""
+        """Play the insertion to its end; if the physics fails, it is void and counts as failed."""
         cell, void = self.cell, ""
         try:
             self._play()
@@ -128,7 +128,7 @@ class Insertion:
             self._frame()
 
     def _takes_afresh(self) -> bool:
-        """Whether the object is put into its fixture, taken upright and tried again, as by the client's cycle."""
+        """Whether the object is regrasped from its fixture and tried again, as in the client's cycle."""
         plan = self.state.afresh(f"simulated-{self.grasps + 1}")
         if plan is None:
             return False
@@ -173,7 +173,7 @@ class Insertion:
                 self._hear(self.session.on_result(result, now_ns))
 
     def _skip_networks(self, work: Work) -> None:
-        """In the networks' place where nobody listens to them: done with the last frame of the decision."""
+        """Stand in for unused networks: done with the last frame of the decision."""
         attempt = self.session.attempt
         if attempt is not None and attempt.fed:
             self._skipped.append(work)
@@ -189,10 +189,10 @@ class Insertion:
             self._post(FromService(at_s=self.cell.now_s, message=noted))
 
     def _note(self, message: Correction | NoDecision) -> Correction | NoDecision:
-        """Log the attempt beside the truth; the oracle puts its own move in the correction's place."""
+        """Log the attempt with the ground truth; with the oracle, replace the correction by its own move."""
         if self.oracle:
             if self.session.decider:
-                self.session.decider.consistency = None  # the arm follows another's moves
+                self.session.decider.consistency = None  # the arm follows the oracle's moves
             message = self._by_the_truth(message)
         decision = message.model_dump(mode="json", exclude={"insertion_id", "latency_ms"})
         frames_s = seconds_of_frames(self.session.attempt)
@@ -241,7 +241,7 @@ class Insertion:
                 else:
                     self._standing = True
             case Renew():
-                pass  # every frame asks the machine whether the lease lasts
+                pass  # every frame asks the machine whether the lease still holds
             case Move() if command.motion == "descend":
                 self.before = self.cell.state
                 self.cell.descend(
@@ -280,9 +280,9 @@ def stage(job: Job, models: ModelSet) -> Insertion:
 
 
 def insert(job: Job, models: ModelSet) -> dict[str, Any]:
-    """Play a job; the row of results. A start that fits at once counts, as in the paper.
+    """Play a job and return its row of results. A start that fits at once counts, as in the paper.
 
-    An object that cannot be grasped as the scene has it is void.
+    An object that cannot be grasped as in the scene is void.
     """
     try:
         outcome = stage(job, models).run()
@@ -293,5 +293,5 @@ def insert(job: Job, models: ModelSet) -> dict[str, Any]:
 
 @cache
 def models_of(folder: Path) -> ModelSet:
-    """The networks of a folder, loaded once a process."""
+    """The networks of a folder, loaded once per process."""
     return load_models(folder)

@@ -1,4 +1,4 @@
-"""The service's session that is played in lock step, with fingers that see pictures or the simulated gel itself."""
+"""The service's session in lock step, with fingers that see pictures or the simulated gel itself."""
 
 from collections.abc import Mapping
 
@@ -15,7 +15,7 @@ from simulation.closed_loop.true_fields import Trouble, TrueFieldFinger
 def session_of(
     models: ModelSet, cell: LockstepCell, controller: Who, perception: Perception, troubles: Mapping[Finger, Trouble]
 ) -> InsertionSession:
-    """A fresh session; the oracle's moves come in the place of a belief's."""
+    """A new session; the oracle's moves replace a belief's."""
     left, right = (_finger(models, cell, index, perception, troubles) for index in range(2))
     return InsertionSession(models, left, right, controller_name="belief" if controller == "oracle" else controller)
 

@@ -1,4 +1,4 @@
-"""Statistics of closed-loop results; nothing here runs an insertion or draws."""
+"""Statistics of closed-loop results; nothing here plays insertions or draws figures."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,7 +16,7 @@ SIGNS: Mapping[str, tuple[int, int]] = {
 
 
 def title_of(scene: str) -> str:
-    """Name of an object that a row calls by its name or by the path of its file."""
+    """Name of an object from a row, which has its name or the path of its file."""
     return Path(scene).stem
 
 
@@ -42,7 +42,7 @@ def first_decisions(rows: Iterable[Row]) -> list[Row]:
 
 
 def refused(row: Row) -> bool:
-    """Whether the service or the client ended the insertion by itself instead of using up its trials."""
+    """Whether the service or the client ended the insertion by itself before its trials were used up."""
     return not (row["inserted"] or row["claimed"] or row["void"]) and row["attempts"] < FAILED_COUNTS_AS - 1
 
 

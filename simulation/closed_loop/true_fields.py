@@ -1,7 +1,7 @@
-"""Perception of one finger from the simulated gel itself, for runs that need no pictures.
+"""Perception of one finger from the simulated gel itself, for runs without pictures.
 
-Slip and onset are judged by the service's own detectors on the true marker field, with the tracker's measured error
-added; a picture is drawn only when a network asks for it. Some five times cheaper than drawing and tracking all.
+The service's own detectors judge slip and onset on the true marker field plus the tracker's measured error; a picture
+is drawn only when a network needs it. About five times cheaper than drawing and tracking every frame.
 """
 
 import dataclasses
@@ -21,10 +21,10 @@ from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.open_gel import OpenGel
 from simulation.closed_loop.lockstep import Image, LockstepCell, hash_seed
 
-# RMS per axis at 2 grey levels of camera noise, and what each grey level more adds (docs/slip_report.md).
+# RMS per axis at 2 grey levels of camera noise, and the increase per further grey level (docs/slip_report.md).
 TRACKING_PX = 0.039
 TRACKING_PX_PER_GREY = 0.0038
-COPIES_N = 2  # pictures handed out again, with which the service knows that they are no new ones
+COPIES_N = 2  # repeated pictures after which the service recognises the repetition
 
 
 class LatePicture:
@@ -47,11 +47,11 @@ Kind = Literal["dark", "frozen", "stuck", "dropped"]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Fault:
-    """What goes wrong with what fingers see or hold, from ``depth_mm`` of the descent of ``attempt`` on, for good.
+    """A fault in what the fingers see or hold, permanent from ``depth_mm`` of the descent of ``attempt`` on.
 
     dark: no marker is found. frozen: the same frame again and again. stuck: the same picture with new camera noise.
-    dropped: the object has left the hand, unnoticed by the gripper. A negative depth: since the hand was open. An
-    attempt that ends above the depth leaves the fault to the next one.
+    dropped: the object has left the hand, unnoticed by the gripper. A negative depth: since the hand was open. If an
+    attempt ends above the depth, the fault waits for the next one.
     """
 
     kind: Kind
@@ -61,9 +61,9 @@ class Fault:
 
 
 class Trouble:
-    """What a fault does to one finger of one insertion, also where the object is regrasped on the way.
+    """The effect of a fault on one finger in one insertion, regrasps included.
 
-    ``copies``: how many pictures a stuck camera has handed out more than once.
+    ``copies``: number of repeated pictures from a stuck camera.
     """
 
     def __init__(self, fault: Fault) -> None:
@@ -77,7 +77,7 @@ class Trouble:
         self._attempt, self._top_mm = self._attempt + 1, height_mm
 
     def strikes(self, height_mm: float) -> bool:
-        """Whether it acts, now that the arm is at this height."""
+        """Whether it acts with the arm at this height."""
         fault = self.fault
         deep = self._attempt >= fault.attempt and self._top_mm - height_mm >= fault.depth_mm
         self.struck = self.struck or fault.depth_mm < 0.0 or deep
@@ -85,13 +85,13 @@ class Trouble:
 
     @property
     def gone(self) -> bool:
-        """Whether the object has left the hand, whatever the mechanics say."""
+        """Whether the object has left the hand, whatever the mechanics report."""
         return self.struck and self.fault.kind == "dropped"
 
     def marked(self, field: MarkerField) -> MarkerField:
-        """The field, marked as what the tracker finds to be no new picture.
+        """The field, marked as a repeated picture where the tracker finds it to be one.
 
-        A copy beneath fresh noise is found from the second on: see `service.perception.markers.liveness`.
+        A copy with fresh noise is recognised from the second one on: see `service.perception.markers.liveness`.
         """
         known = self.fault.kind == "frozen" or (self.fault.kind == "stuck" and self.copies >= COPIES_N)
         return dataclasses.replace(field, status="duplicate") if known else field
@@ -122,12 +122,12 @@ class TrueFieldFinger:
             self._trouble.rearmed(self._cell.pose[2])
 
     def learn_open(self, frame: TactileFrame) -> str:
-        """Take the gel at rest for what nothing touches."""
+        """Take the gel at rest as the unloaded reference."""
         self._open.learn(self._tracked(np.zeros_like(self._cell.state.gel[self._index]), frame, 8))
         return ""
 
     def observe(self, frame: TactileFrame) -> Observation:
-        """Perceive the moment that the frame was taken at."""
+        """Perceive the moment at which the frame was taken."""
         field = self._field(frame)
         onset = None
         if self._rearm:
@@ -144,7 +144,7 @@ class TrueFieldFinger:
         return dataclasses.replace(observation, bulge=shown[0], touch=shown[1], weight=shown[2])
 
     def _field(self, frame: TactileFrame) -> MarkerField:
-        """What is found in a frame: the cell's gel, or what a fault has made of it."""
+        """The field of a frame: the cell's gel, or a fault's version of it."""
         trouble = self._trouble
         if trouble is None or not trouble.strikes(self._cell.pose[2]):
             self._gel = self._exposed()
@@ -152,12 +152,12 @@ class TrueFieldFinger:
         if trouble.fault.kind == "dark":
             return empty_field(frame.captured_ns, "lost", "no marker was found")
         if self._gel is None:
-            self._gel = np.zeros_like(self._cell.gels(self._index)[0])  # it had stood still since the hand was open
+            self._gel = np.zeros_like(self._cell.gels(self._index)[0])  # the gel has not moved since the hand was open
         trouble.copies += 1
         return trouble.marked(self._tracked(np.zeros_like(self._gel) if trouble.gone else self._gel, frame, 7))
 
     def _tracked(self, gel: NDArray[np.floating], frame: TactileFrame, what: int) -> MarkerField:
-        """The field of a gel state with the tracker's error on it, which ``what`` and the frame decide."""
+        """The field of a gel state plus the tracker's error, which is seeded by ``what`` and the frame."""
         cell = self._cell
         field = field_from_gel(gel[..., :3], frame.captured_ns, cell.scene.sensor)
         rng = np.random.default_rng(hash_seed(cell.seed, cell.frame, self._index, what))
@@ -165,7 +165,7 @@ class TrueFieldFinger:
         return dataclasses.replace(field, displacement_px=field.displacement_px + error, contact=None)
 
     def _exposed(self) -> NDArray[np.floating]:
-        """The gel as a picture shows it: a smeared marker is found in the middle of its way during the exposure."""
+        """The gel as a picture shows it: a smeared marker is found at the middle of its path during the exposure."""
         view, (now, before) = self._cell.view(self._index), self._cell.gels(self._index)
         late = np.float32(0.5 * view.blur_share)
         exposed: NDArray[np.floating] = now - late * (now - before)

@@ -1,11 +1,11 @@
-"""Self-supervised collection: poke with known random errors, keep what collides, on every core, safe to kill.
+"""Self-supervised collection: poke with known random errors, keep the collisions, on every core, safe to kill.
 
-As in the paper: errors uniform in x and yaw, the object put back in its fixture every 5 pokes and drifting in the
-hand between them, the descent stopped by slip. Every re-fixture draws another gel, grasp, friction, noise and light;
-a share of the re-fixtures comes from held-out ranges and is the test set.
+As in the paper: errors uniform in x and yaw, the object put back in its fixture every 5 pokes and drifting in the hand
+between them, the descent stopped by slip. Every re-fixture draws another gel, grasp, friction, noise and light; a share
+of the re-fixtures comes from held-out ranges and forms the test set.
 
-The unit of work is a shard, made from nothing but (seed, object, shard number): a killed collection starts its
-unfinished shards again and gets the same bits.
+The unit of work is a shard, a function of (seed, object, shard number) only: a killed collection restarts its
+unfinished shards and gets the same bits.
 """
 
 import hashlib
@@ -37,17 +37,17 @@ GEL = 3  # of a marker: du, dv, pressure. The foreign cell also says how far its
 MAX_STOP_DELAY_FRAMES = 2
 MAX_OVERTRAVEL_MM = 0.15
 LIFT_MM = 0.5
-LIFT_STEP_MM = 0.5  # nothing is read from a lift: steps 3 times as coarse move the drift by less than 0.05 mm
-_MAX_POKES_PER_TRIAL = 40  # a scene where fewer than 1 poke in 40 collides is a mistake, not a data set
+LIFT_STEP_MM = 0.5  # a lift is not recorded: steps 3 times as coarse change the drift by less than 0.05 mm
+_MAX_POKES_PER_TRIAL = 40  # a scene where fewer than 1 poke in 40 collides is an error, not a data set
 _GROUPS_PER_SHARD = 100_000
 _SHARDS_PER_OBJECT = 10_000
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """One shard to make; small and picklable, everything follows from it.
+    """One shard to make; small and picklable, and it determines the shard completely.
 
-    ``known``: of the cell around which all else is drawn, as the tables of a world file.
+    ``known``: the known parameters of the cell, as the tables of a world file; all others are drawn.
     """
 
     folder: Path
@@ -71,7 +71,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Fixture:
-    """One re-fixture: the cell as drawn, its looks, its side of the split."""
+    """One re-fixture: the drawn cell, its appearance, its side of the split."""
 
     scene: Scene
     group: int
@@ -82,14 +82,14 @@ class Fixture:
 
 
 def scene_of(name: str, sensor: Sensor | None) -> Scene:
-    """The scene to collect from, with another sensor than its own if one is given."""
+    """The scene to collect from, with its sensor replaced if one is given."""
     if name in drawn_cells.KNOWN:
         return drawn_cells.base(name)
     return load_scene(name, **({"camera__sensor": sensor} if sensor else {}))
 
 
 def scene_sha256(scene: Scene) -> str:
-    """SHA-256 of everything a scene says."""
+    """SHA-256 of the scene's full contents."""
     return hashlib.sha256(scene.identity_json().encode()).hexdigest()
 
 
@@ -113,7 +113,7 @@ def draw_fixture(base: Scene, plan: Plan, number: int) -> tuple[Fixture, np.rand
 def pokes(plan: Plan, base: Scene) -> Iterator[tuple[Fixture, int, int, Probe | None]]:
     """All pokes of a shard in order, without end: (fixture, poke in group, seed, probe or None without equilibrium).
 
-    A group ends early when the object has left the hand or went into the gap: both need a new fixture.
+    A group ends early when the object has left the hand or entered the gap: both need a new fixture.
     """
     for number in range(_GROUPS_PER_SHARD):
         fixture, rng = draw_fixture(base, plan, number)
@@ -149,7 +149,7 @@ class Hand:
         self._cell.move_to(x + x_mm, y, z, math.degrees(yaw) + theta_deg)
 
     def poke(self, rng: np.random.Generator) -> Probe:
-        """Descend until slip, a little further as a real arm does, and lift off again."""
+        """Descend until slip, with a real arm's overtravel, and lift off again."""
         cell = self._cell
         delay_frames = int(rng.integers(MAX_STOP_DELAY_FRAMES + 1))
         overtravel_mm = float(rng.uniform(0, MAX_OVERTRAVEL_MM))
@@ -185,7 +185,7 @@ class Hand:
 
 
 def trial_of(fixture: Fixture, poke: int, seed: int, probe: Probe, object_name: str) -> Trial:
-    """What is logged of a poke."""
+    """The logged trial of a poke."""
     x_mm, theta_deg = probe.error_before
     return Trial(
         x_mm=float(x_mm),
@@ -223,7 +223,7 @@ def make_shard(plan: Plan) -> ShardEntry:
 
 
 def shard_of(plan: Plan) -> tuple[ShardEntry, bytes]:
-    """As :func:`make_shard`, but the bytes are handed back: for workers on other machines."""
+    """As :func:`make_shard`, but returns the bytes: for workers on other machines."""
     base = scene_of(plan.scene_name, plan.sensor)
     kept: list[Trial] = []
     outcomes: Counter[str] = Counter()

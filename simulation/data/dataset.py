@@ -1,9 +1,9 @@
 """Datasets of pokes: Parquet shards and one manifest; frames are drawn from gel states when they are read.
 
-A dataset is a folder: ``manifest.json`` and ``*.parquet``. Only what the manifest lists exists; a shard is listed
-after it is complete and on disk, so a kill at any moment loses no listed trial and doubles none. Everything needed
-to draw a trial's frames (gel states, optics, seed) is in its row: the same row gives the same bits.
-This module is all of the simulator that training may import.
+A dataset is a folder: ``manifest.json`` and ``*.parquet``. Only files listed in the manifest count. A shard is listed
+after it is complete and on disk, so a kill at any moment loses no listed trial and duplicates none. Each row holds
+everything needed to draw its trial's frames (gel states, optics, seed): the same row gives the same bits. This is the
+only module of the simulator that training may import.
 """
 
 import fcntl
@@ -38,9 +38,9 @@ class DatasetWriter:
     """Adds complete shards to a dataset folder; the manifest on disk is always true. Close it, or use ``with``."""
 
     def __init__(self, path: Path, fresh: Manifest) -> None:
-        """Create the folder or continue the one that is there.
+        """Create the folder or continue the existing one.
 
-        DatasetError, with nothing changed, if it holds another collection, broken shards, or another writer.
+        DatasetError, with nothing changed, if it holds another collection, broken shards, or has another writer.
         """
         self.path = path
         path.mkdir(parents=True, exist_ok=True)
@@ -76,7 +76,7 @@ class DatasetWriter:
         return entry
 
     def commit(self, entry: ShardEntry) -> None:
-        """List a shard that is on disk. A name is listed once."""
+        """List a shard that is on disk. Each name is listed once."""
         if any(listed.name == entry.name for listed in self.manifest.shards):
             raise DatasetError(f"shard {entry.name} is already in {self.path / MANIFEST}")
         shards = tuple(sorted((*self.manifest.shards, entry), key=lambda listed: listed.order))
@@ -84,9 +84,9 @@ class DatasetWriter:
         self._save()
 
     def extend(self, asked: Manifest) -> None:
-        """Take over a larger size or more objects; the dataset is incomplete until :meth:`finish`.
+        """Adopt a larger size or more objects; the dataset is incomplete until :meth:`finish`.
 
-        DatasetError, with nothing changed, if shards are to be made by other physics than those that are there.
+        DatasetError, with nothing changed, if the new shards would be made by other physics than the existing ones.
         """
         larger = max(self.manifest.trials_per_object, asked.trials_per_object)
         update = {"scenes": self.manifest.scenes | asked.scenes, "trials_per_object": larger, "complete": False}
@@ -98,7 +98,7 @@ class DatasetWriter:
         self._save()
 
     def finish(self) -> bool:
-        """Mark the dataset complete if every object has all its shards; whether it is."""
+        """Mark the dataset complete if every object has all its shards; returns whether it is."""
         complete = not self.manifest.missing_shards()
         self.manifest = self.manifest.model_copy(update={"complete": complete})
         self._save()
@@ -112,7 +112,7 @@ class DatasetWriter:
 
 
 def _locked(path: Path) -> BinaryIO:
-    """The folder's lock; the kernel lets it go when this process ends, also by kill -9."""
+    """The folder's lock; the kernel releases it when this process ends, also by kill -9."""
     lock = (path / ".lock").open("wb")
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -146,8 +146,8 @@ def encode_shard(
 class Dataset:
     """Reads a dataset; trials are numbered 0.. over the shards in manifest order.
 
-    Raises DatasetError on a missing, truncated or altered shard, another schema version, or labels that are not
-    finite: by name, before anything is used.
+    Raises DatasetError, naming the shard before anything is used, on a missing, truncated or altered shard, another
+    schema version, or labels that are not finite.
     """
 
     def __init__(self, path: str | Path, *, verify: bool = True) -> None:
@@ -230,12 +230,12 @@ class Dataset:
         return self._groups[key]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Open files stay behind when a worker process gets a copy."""
+        """Leave open files out of the copy that a worker process gets."""
         return self.__dict__ | {"_files": {}, "_groups": OrderedDict(), "_renderers": OrderedDict()}
 
 
 def slice_of(numbers: Sequence[int], first: int, count: int, source: Path) -> list[int]:
-    """``count`` of the trials' ``numbers`` from place ``first`` on; DatasetError where that is none of them."""
+    """``count`` of the trials' ``numbers`` starting at index ``first``; DatasetError if there are none."""
     if first < 0 or count < 1:
         raise DatasetError(f"--first {first} --count {count}: expected 0 or more and 1 or more")
     chosen = list(numbers[first : first + count])

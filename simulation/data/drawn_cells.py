@@ -1,9 +1,10 @@
-"""Cells to collect from that are drawn whole: world and object of each re-fixture, over all that cells are.
+"""Completely drawn cells to collect from: world and object of each re-fixture, over the full range of cells.
 
-Around one cell, what is known of it is as it is, and its object; the rest is drawn.
+Around one known cell, its known parameters and its object are kept, and the rest is drawn.
 
-A trial of theirs is pressed to a fixed depth, whatever slips, with a frame every so many hundredths of a millimetre. So
-cameras of all rates can be drawn from it when it is read; the arm's speed counts where the gel relaxes.
+A trial in a drawn cell is pressed to a fixed depth regardless of slip, with frames in equal steps of depth (some
+hundredths of a millimetre). Cameras of all rates can therefore be drawn from it at read time; the arm's speed matters
+only where the gel relaxes.
 """
 
 import json
@@ -25,8 +26,8 @@ KNOWN: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "drawn-layer": {"gel": {"tier": "layer"}},
     "drawn-foreign": {"gel": {"relaxation_share": 0.0}, "grasp": {"finger_stiffness_n_per_mm": 0.0}},
 }
-"""In place of an object's name: what is not drawn. The first mixes the tiers; the others have one tier, or the finite
-elements of the foreign cell, which know neither relaxation nor fingers that give way."""
+"""Names that stand for an object's, each with the parameters that are fixed. The first mixes the tiers; the others have
+one tier, or the finite elements of the foreign cell, which have neither relaxation nor compliant fingers."""
 PRESS_MM, FRAME_MM = 1.65, 0.15
 LAYER_SHARE = 0.08
 """Of cells: a press of theirs costs several of the bristle tier's. Worlds that are judged on have half of each."""
@@ -34,18 +35,18 @@ GRIDS = ((12, 12), (12, 12), (16, 16), (20, 21))
 """Rows and columns of a pad's nodes, drawn alike: what a network learns must not be one grid's own pattern, and 12 x 12
 cost a third of 20 x 21. The layer tier has the first."""
 SETTLE_MM = 1e-4
-"""Coarser than a judge's, a tenth of what a tracker sees."""
+"""Coarser than for evaluation; a tenth of what a tracker resolves."""
 MOST_DRAWS = 1000
-"""Of cells that do not fit together, until what is known of one must be what does not fit."""
+"""Draws of inconsistent cells before the known parameters themselves are rejected as inconsistent."""
 
 
 def base(name: str = NAME) -> Scene:
-    """What stands for all of them where a dataset names its scenes."""
+    """The scene that stands for all drawn cells where a dataset names its scenes."""
     return drawn.scene_of_tables({"object": {"shape": "rectangle", "size_x_mm": 60.0, "size_y_mm": 50.0}}, name)
 
 
 def mechanics(name: str) -> Callable[[Scene, int], Cell]:
-    """What makes a cell's mechanics of a scene and a seed."""
+    """The class that simulates these cells, called with a scene and a seed."""
     if name != "drawn-foreign":
         return QuasiStaticCell
     from simulation.foreign.cell import ForeignCell  # brings scipy and scikit-fem
@@ -56,10 +57,10 @@ def mechanics(name: str) -> Callable[[Scene, int], Cell]:
 def draw_cell(
     rng: np.random.Generator, known: Mapping[str, Mapping[str, Any]] | None = None, held: Scene | None = None
 ) -> tuple[Scene, str]:
-    """A scene, and all that was drawn of it as JSON by dotted key.
+    """A scene, and all its drawn parameters as JSON by dotted key.
 
-    known: tables of a world file, of what is not drawn; held: the object, instead of a drawn one. Raises SceneError
-    where nothing that is drawn fits to them.
+    known: tables of a world file, not drawn; held: the object, instead of a drawn one. Raises SceneError if no draw is
+    consistent with them.
     """
     for _ in range(MOST_DRAWS):
         tables, body = drawn.draw_world(rng), {} if held else drawn.draw_object(rng)
@@ -71,7 +72,7 @@ def draw_cell(
             scene = world.around(held or drawn.scene_of_tables(body, NAME))
         except SceneError as error:
             misfit = str(error)
-            continue  # the drawn parts do not fit together
+            continue  # inconsistent draws
         grid = int(rng.integers(len(GRIDS)))
         rows, columns = GRIDS[grid if tables["gel"]["tier"] == "bristle" else 0]
         numbers = {"gel.node_rows": rows, "gel.node_columns": columns, "numerics.settle_mm": SETTLE_MM}
@@ -81,7 +82,7 @@ def draw_cell(
 
 
 def stated(scene: Scene) -> dict[str, Any]:
-    """What a trial says of its cell beside the JSON."""
+    """Fields of a trial about its cell, besides the JSON."""
     reach_mm = shear_reach_pitches(scene) * scene.sensor.marker_pitch_mm
     return {"speed_mm_s": scene.speed_mm_s, "grip_n": scene.grasp.force_n, "shear_reach_mm": reach_mm}
 

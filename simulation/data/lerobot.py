@@ -1,8 +1,8 @@
-"""Trials in the LeRobot v3.0 layout: many episodes a Parquet file, images embedded, tables of episodes and tasks.
+"""Trials in the LeRobot v3.0 layout: many episodes per Parquet file, images embedded, tables of episodes and tasks.
 
-``data/chunk-000/file-000.parquet`` rows are frames; ``meta/info.json`` names the features; ``meta/episodes/...`` says
-which rows are which trial; ``meta/tasks.parquet`` and ``meta/stats.json`` complete it. Written with pyarrow alone.
-``meta/trials.json`` is ours, and other readers pass it by: the sensor, and what a shard states of each trial.
+``data/chunk-000/file-000.parquet`` rows are frames; ``meta/info.json`` names the features; ``meta/episodes/...`` maps
+rows to trials; ``meta/tasks.parquet`` and ``meta/stats.json`` complete it. Written with pyarrow alone.
+``meta/trials.json`` is our addition, ignored by other readers: the sensor, and each trial's scalars from its shard.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ from simulation.data.dataset import Dataset
 from simulation.data.manifest import DatasetError, file_sha256
 from simulation.data.trial import FRAMES, Trial, arrays, from_row, stated
 
-EPISODES_PER_FILE = 8  # about 100 MB of PNG, the size LeRobot itself rolls over at
+EPISODES_PER_FILE = 8  # about 100 MB of PNG, LeRobot's own limit per file
 FILES_PER_CHUNK = 1000
 CAMERAS = ("observation.images.left", "observation.images.right")
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -85,20 +85,20 @@ def export(dataset: Dataset, numbers: Sequence[int], out: Path, show: Callable[[
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What an export is of: its sensor, and one digest of all its files."""
+    """Contents of an export: its sensor, and one digest of all its files."""
 
     sensor: Sensor
     digest: str
 
     def sha256(self) -> str:
-        """As that of a manifest."""
+        """The digest, under the name that a manifest uses."""
         return self.digest
 
 
 class Exported:
     """Reads what :func:`export` wrote as a `Dataset` reads shards: the same trials, and frames from the images.
 
-    Raises DatasetError where ``path`` holds no such export: in another's LeRobot dataset no onset of motion is stated.
+    Raises DatasetError where ``path`` holds no such export: other LeRobot datasets do not state the onset of motion.
     """
 
     def __init__(self, path: Path) -> None:
@@ -129,7 +129,7 @@ class Exported:
         return trial
 
     def frames(self, index: int, start: int, count: int) -> NDArray[np.uint8]:
-        """Uint8 [count, 2, H, W, 3] BGR, without loss."""
+        """Uint8 [count, 2, H, W, 3] BGR, lossless."""
         pairs = list(zip(*self._columns(index, CAMERAS), strict=True))[start : start + count]
         return np.array([[_drawn(picture["bytes"]) for picture in pair] for pair in pairs], np.uint8)
 
@@ -183,7 +183,7 @@ def _episode(episode: int, task: str, place: tuple[int, int]) -> dict[str, Any]:
 
 
 def _data_schema(sensor: Sensor) -> Any:
-    """Arrow schema of the frames, with the column types that Hugging Face `datasets` reads images by."""
+    """Arrow schema of the frames, with the column types from which Hugging Face `datasets` reads images."""
     import pyarrow as pa
 
     image = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
@@ -218,7 +218,7 @@ def _write_meta(
     import pyarrow as pa
 
     _write(out / _EPISODES.format(chunk_index=0, file_index=0), episodes)
-    # pandas reads the task text back as the index, which is where LeRobot looks for it
+    # pandas restores the task text as the index, where LeRobot looks for it
     columns = [
         {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
         for name, kind, numpy in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
@@ -243,7 +243,7 @@ def _write_meta(
         "features": features(sensor),
     }
     write_json(out / "meta/stats.json", stats.result())
-    write_json(out / INFO, info)  # last: a folder with it is whole
+    write_json(out / INFO, info)  # last: its presence marks a complete folder
 
 
 class _Stats:
@@ -254,7 +254,7 @@ class _Stats:
         self.counts: dict[str, int] = {}
 
     def merge(self, other: "_Stats") -> None:
-        """Take in what another one has added up."""
+        """Add the sums of another one."""
         for name, new in other.sums.items():
             self._one(name, new, other.counts[name])
 

@@ -10,11 +10,11 @@ from service.contract.frames import Contract
 from service.contract.sensor import Sensor
 
 MANIFEST = "manifest.json"
-SCHEMA_VERSION: Final = 2  # 1 did not say how high the object is held
+SCHEMA_VERSION: Final = 2  # 1 did not state how high the object is held
 
 
 class DatasetError(ValueError):
-    """A dataset, shard or label that cannot be used; the text names it and what was expected."""
+    """A dataset, shard or label that cannot be used; the text names it and the expected value."""
 
 
 class ShardEntry(Contract):
@@ -52,7 +52,7 @@ class ShardEntry(Contract):
 class Manifest(Contract):
     """What a dataset holds and how it was made.
 
-    ``scenes``: name -> SHA-256 of the base scene. ``physics``: hash of the code that pokes, "" in datasets older than
+    ``scenes``: name -> SHA-256 of the base scene. ``physics``: hash of the collecting code, "" in datasets older than
     the field. ``sensor``: the fingers' profile.
     """
 
@@ -74,18 +74,18 @@ class Manifest(Contract):
         return sum(entry.trials for entry in self.shards)
 
     def missing_shards(self) -> list[tuple[str, int]]:
-        """(scene name, shard number) of each shard the asked size still lacks, objects interleaved."""
+        """(scene name, shard number) of each shard missing from the requested size, objects interleaved."""
         listed = {entry.name for entry in self.shards}
         numbers = range(-(-self.trials_per_object // self.trials_per_shard))
         return [(scene, n) for n in numbers for scene in self.scenes if shard_file_name(scene, n) not in listed]
 
     def sha256(self) -> str:
-        """One digest of all contents: what a model card states as its training data."""
+        """One digest of all contents, used by model cards to identify their training data."""
         listed = "\n".join(f"{entry.name} {entry.sha256}" for entry in self.shards)
         return hashlib.sha256(listed.encode()).hexdigest()
 
     def must_continue(self, fresh: "Manifest", path: Path) -> None:
-        """DatasetError unless ``fresh`` asks for more of the same collection."""
+        """DatasetError unless ``fresh`` requests more of the same collection."""
         for name in ("schema_version", "made_by", "seed", "trials_per_shard", "held_out_share", "sensor"):
             mine, asked = getattr(self, name), getattr(fresh, name)
             if mine != asked:

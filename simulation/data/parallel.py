@@ -1,4 +1,4 @@
-"""Many pieces of work on all cores or on a Ray cluster, one result after the other."""
+"""Map work over all cores or a Ray cluster, yielding results one by one."""
 
 import multiprocessing
 import os
@@ -16,10 +16,10 @@ Result = TypeVar("Result")
 def results(
     work: Callable[[Item], Result], items: Sequence[Item], workers: int = 0, ray: str = "", *, in_order: bool = False
 ) -> Iterator[Result]:
-    """``work`` of every item as it is finished, or in the order of the items; raises what ``work`` raises.
+    """``work`` of every item as it finishes, or in the order of the items; raises what ``work`` raises.
 
-    ``workers``: processes, 0 for one a core, 1 for none beside this one. ``ray``: address of a Ray cluster to work on
-    instead ("local" starts one here); what the items name must exist on every node. Raises ValueError without Ray.
+    ``workers``: processes, 0 for one per core, 1 for this process alone. ``ray``: address of a Ray cluster to use
+    instead ("local" starts one here); files named by the items must exist on every node. Raises ValueError without Ray.
     """
     workers = min(workers or os.cpu_count() or 1, len(items))
     if ray and items:
@@ -34,12 +34,12 @@ def _in_processes(
     work: Callable[[Item], Result], items: Sequence[Item], workers: int, in_order: bool
 ) -> Iterator[Result]:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # one process a core; threads inside them would only fight
+        os.environ.setdefault(name, "1")  # one process per core; more threads would only compete
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _die_with_parent)
     futures = [pool.submit(work, item) for item in items]
     try:
         yield from (future.result() for future in (futures if in_order else as_completed(futures)))
-    except BaseException:  # an interruption too: nobody waits for what is still being worked on
+    except BaseException:  # on an interruption too: do not wait for unfinished work
         for process in list((pool._processes or {}).values()):  # noqa: SLF001 (no public way to stop a busy worker)
             process.kill()
         pool.shutdown(wait=False, cancel_futures=True)
@@ -48,7 +48,7 @@ def _in_processes(
 
 
 def _die_with_parent() -> None:
-    """However the parent ends, the worker ends too; Ctrl-C is the parent's alone to handle."""
+    """End the worker whenever the parent ends; only the parent handles Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None

@@ -1,4 +1,4 @@
-"""One guarded descent in lock step: what the cell of the paper does once, without sockets and faster than real time."""
+"""One guarded descent in lock step: one poke of the paper's cell, without sockets and faster than real time."""
 
 import math
 from dataclasses import dataclass
@@ -13,18 +13,18 @@ from simulation.scene.state import Cell, CellState
 
 Outcome = Literal["blocked", "inserted", "grasp_lost"]
 INSERTION_DEPTH_MM = 25.0
-ONSET_MM = 0.02  # markers that moved by this much, about 0.3 px, show motion of the object
-FRAMES, DECISION_FRAMES = 30, 8  # kept of a descent, and those of them that a decision rests on
+ONSET_MM = 0.02  # marker motion, about 0.3 px, that counts as motion of the object
+FRAMES, DECISION_FRAMES = 30, 8  # frames kept of a descent, and those of them behind a decision
 
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """Result of one descent; frames are those kept, frame indices count within them, -1 is "never".
+    """Result of one descent. Frame indices count within the kept frames; -1 means "never".
 
     gel: float16 [frames, 2, rows, columns, 3] = du mm, dv mm (finger frame), pressure N/mm2. depth_mm [frames]: the
-    approach's z minus z. slipping: bool [frames, 2, rows, columns], where the gel slid on the object at each
-    marker. wrench: [frames, 6] N, N mm on the object at the TCP, hand frame. in_hand: [frames, 6] mm, rad.
-    error_before: (x mm, theta deg) of the object when the descent began.
+    approach's z minus z. slipping: bool [frames, 2, rows, columns], where the gel slid on the object at each marker.
+    wrench: [frames, 6] N, N mm on the object at the TCP, hand frame. in_hand: [frames, 6] mm, rad. error_before: (x mm,
+    theta deg) of the object when the descent began.
     """
 
     gel: NDArray[np.float16]
@@ -44,7 +44,7 @@ class Probe:
 
 
 class _Recorder:
-    """Collects frames and finds the onset: the first frame whose markers left their rest by ONSET_MM."""
+    """Collects frames and finds the onset: the first frame whose markers moved from rest by ONSET_MM."""
 
     def __init__(self, first: CellState) -> None:
         self.states = [first]
@@ -69,11 +69,11 @@ def run_probe(
     *,
     seed: int = 0,
 ) -> Probe:
-    """Regrasp at the error given, descend until slip, a full insertion or the force limit, and keep the last frames.
+    """Regrasp at the given error, descend until slip, a full insertion or the force limit, and keep the last frames.
 
-    Given a Cell instead of a Scene, its compiled state is used again: the blocks are put back and the object is held
-    afresh, as with a new one; only the draw of the grasp's pre-tilt goes on from where the cell's stream stands. For
-    pokes that leave blocks and object as they are, use `descend`. Raises PhysicsError where no equilibrium is found.
+    Given a Cell instead of a Scene, its compiled state is reused: the blocks are put back and the object is regrasped,
+    as with a new cell; only the draw of the grasp's pre-tilt continues the cell's random stream. For pokes that leave
+    blocks and object in place, use `descend`. Raises PhysicsError where no equilibrium is found.
     """
     cell = scene if isinstance(scene, QuasiStaticCell) else QuasiStaticCell(scene, seed)
     if isinstance(scene, QuasiStaticCell):
@@ -93,11 +93,11 @@ def descend(
     overtravel_mm: float = 0.0,
     press_mm: float | None = None,
 ) -> Probe:
-    """As `run_probe`, from where the cell stands now: for pokes that follow one another without a new fixture.
+    """As `run_probe`, from the cell's present state: for pokes that follow one another without a new fixture.
 
-    phase: when the first frame falls within a frame period, 0..1. The stop takes effect stop_delay_frames after the
-    frame that shows slip, plus overtravel_mm. Frames are then taken while the arm stands still until the decision's 8
-    frames from the onset are complete. press_mm: do not stop on slip, but so far below the depth of the onset's frame,
+    phase: position of the first frame within a frame period, 0..1. The stop takes effect stop_delay_frames after the
+    frame that shows slip, plus overtravel_mm. Frames are then taken at standstill until the decision's 8 frames from
+    the onset are complete. press_mm: instead of stopping on slip, stop this far below the depth of the onset's frame,
     or at the force limit.
     """
     rate, speed = fps or cell.scene.fps, cell.scene.speed_mm_s

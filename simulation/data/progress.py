@@ -1,4 +1,4 @@
-"""How far a long job is: a bar with ETA on a terminal, a line every half minute elsewhere."""
+"""Progress of a long job: a bar with ETA on a terminal, a line every half minute elsewhere."""
 
 import sys
 import time

@@ -1,6 +1,6 @@
-"""What a result was computed with: one hash of a module, all that it imports from here, objects and sensors.
+"""Identity of the code behind a result: one hash of a module, all its imports from this project, objects and sensors.
 
-An earlier run is continued only if this hash has not changed. Comments and docstrings do not count.
+An earlier run is resumed only if this hash has not changed. Comments and docstrings do not count.
 """
 
 import ast
@@ -14,7 +14,7 @@ PACKAGES = ("simulation", "service", "robot_client")
 
 
 def sources_sha256(module: str, root: Path = ROOT) -> str:
-    """SHA-256 of everything that ``module`` runs, from the files as they are now; nothing is imported."""
+    """SHA-256 of everything that ``module`` runs, from the present files; nothing is imported."""
     digest = hashlib.sha256()
     for path, code in sorted(_closure(module, root).items()):
         digest.update(str(path.relative_to(root)).encode() + code)
@@ -31,7 +31,7 @@ class _Bare(ast.NodeTransformer):
 
 
 def _closure(module: str, root: Path) -> dict[Path, bytes]:
-    """The code of a module's file and of all that it imports from here, by path."""
+    """The code of a module's file and of all its imports from this project, by path."""
     files: dict[Path, bytes] = {}
     waiting = [module]
     while waiting:
@@ -44,7 +44,7 @@ def _closure(module: str, root: Path) -> dict[Path, bytes]:
 
 @cache
 def _code(text: str) -> tuple[bytes, tuple[str, ...]]:
-    """A file's code without docstrings and comments, and what it imports."""
+    """A file's code without docstrings and comments, and its imports."""
     tree = ast.parse(text)
     imported = tuple(_imported(tree))
     return ast.dump(_Bare().visit(tree)).encode(), imported

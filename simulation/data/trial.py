@@ -1,4 +1,4 @@
-"""A trial: one poke that collided, as it is stored, checked and turned into frames."""
+"""A trial: one poke that collided; how it is stored, checked and turned into frames."""
 
 import json
 from collections.abc import Callable
@@ -22,13 +22,13 @@ VALIDATION_SHARE = 0.15
 class Trial:
     """One poke that collided, as logged.
 
-    ``x_mm``/``theta_deg``: position error before the descent (truth). ``group``: re-fixture group, the unit of the
-    split. ``grasp_height_mm``: TCP above the object's bottom.
-    ``gel`` float16 [30, 2, rows, columns, 3]: (du_mm, dv_mm, pressure N/mm2) per frame and finger (left, right).
-    ``onset_frame``: first frame that shows motion of the object; a decision uses 8 frames from there.
-    ``drawn``: of a drawn cell, all that was drawn, as JSON by dotted key; then ``speed_mm_s``, ``grip_n`` and
-    ``shear_reach_mm`` are stated, too, and frames are so many steps of depth; else 0.
-    ``wrench`` float32 [30, 6] (N, N mm) at the TCP; ``depth_mm`` float32 [30]; ``in_hand`` float32 [30, 6] (mm, rad).
+    ``x_mm``/``theta_deg``: position error before the descent (ground truth). ``group``: re-fixture group, the unit of
+    the split. ``grasp_height_mm``: TCP above the object's bottom. ``gel`` float16 [30, 2, rows, columns, 3]: (du_mm,
+    dv_mm, pressure N/mm2) per frame and finger (left, right). ``onset_frame``: first frame that shows motion of the
+    object; a decision uses 8 frames from there. ``drawn``: for a drawn cell, all drawn parameters as JSON by dotted
+    key. ``speed_mm_s``, ``grip_n`` and ``shear_reach_mm`` are then stated, too, and frames are equal steps of depth;
+    otherwise they are 0. ``wrench`` float32 [30, 6] (N, N mm) at the TCP; ``depth_mm`` float32 [30]; ``in_hand``
+    float32 [30, 6] (mm, rad).
     """
 
     x_mm: float
@@ -61,7 +61,7 @@ class Trial:
         return self.appearances[0].sensor
 
     def check(self) -> None:
-        """Raise DatasetError naming the first label or array that cannot be right."""
+        """Raise DatasetError naming the first invalid label or array."""
         for name in LABELS:
             if not np.isfinite(getattr(self, name)):
                 raise DatasetError(f"trial label {name} is {getattr(self, name)}, expected a finite number")
@@ -103,7 +103,7 @@ SCALARS = (
 
 
 DRAWN = {"drawn": "", "speed_mm_s": 0.0, "grip_n": 0.0, "shear_reach_mm": 0.0}
-"""Columns of drawn cells, and what they are of others."""
+"""Columns of drawn cells, and their values for other cells."""
 
 
 def arrays(sensor: Sensor) -> dict[str, tuple[tuple[int, ...], Any]]:
@@ -136,7 +136,7 @@ def parquet_schema(sensor: Sensor, *, drawn: bool = False) -> Any:
 
 
 def stated(trial: Trial) -> dict[str, Any]:
-    """What a row of a shard states of the trial, but for its arrays."""
+    """A row of a shard without its arrays."""
     names = (*SCALARS, *DRAWN) if trial.drawn else SCALARS
     row: dict[str, Any] = {name: getattr(trial, name) for name in names}
     return row | {"appearances": json.dumps([look.as_dict() for look in trial.appearances], sort_keys=True)}

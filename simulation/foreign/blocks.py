@@ -1,4 +1,4 @@
-"""The two blocks and the held object as bodies: where they touch, what that does, and how they move.
+"""The two blocks and the held object as rigid bodies: contacts, their forces, and the resulting motion.
 
 A contact is a spring of the scene's stiffness along its normal and a softer one with Coulomb's limit across it.
 """
@@ -19,10 +19,10 @@ from simulation.scene.scene import Scene
 Array = NDArray[np.float64]
 
 GRAVITY_N_PER_KG = 9.81
-TANGENTIAL_SHARE = 0.5  # of a contact's stiffness across its normal
+TANGENTIAL_SHARE = 0.5  # tangential stiffness over a contact's normal stiffness
 TABLE_N_PER_MM = 2000.0  # below each corner of a free block
 NEAR_MM = 1.0
-OPENING, FIRST_BLOCK = 6, 7  # places among the motions
+OPENING, FIRST_BLOCK = 6, 7  # indices among the motions
 SHARERS = 8  # a curved bottom's many corners share the stiffness of this many
 
 
@@ -36,7 +36,7 @@ class Hand(NamedTuple):
 class Bodies:
     """A drive of the object's twist in the hand (6), the fingers' opening (1) and the twists of free blocks (12).
 
-    The gripper keeps its force, so that the fingers follow gels that give way. Blocks' are in the work-object frame.
+    The gripper keeps its force, so the fingers follow yielding gels. The blocks' twists are in the work-object frame.
     """
 
     turns = True
@@ -72,7 +72,7 @@ class Bodies:
         self._block_start, self._old = (self.block_turn.copy(), self.block_place.copy()), self.stretch.copy()
 
     def forget(self) -> None:
-        """The object is taken away from the blocks."""
+        """Forget the contacts: the object is taken away from the blocks."""
         self.stretch[: 2 * self._slots] = 0.0
         self.beside[:], self.touching = False, False
 
@@ -84,7 +84,7 @@ class Bodies:
         self.block_turn, self.block_place = (part.copy() for part in memory)
 
     def begin(self, grip: Grip, before: Hand, after: Hand) -> None:
-        """A step begins: the hand is at its end already, slips are counted from where the bodies were before it."""
+        """Begin a step: the hand is already at its end; slips count from the bodies' poses before the step."""
         self.hand = after
         self._start = (before.turn @ grip.turn, before.place + before.turn @ grip.place)
         self._block_start = (self.block_turn.copy(), self.block_place.copy())
@@ -93,7 +93,7 @@ class Bodies:
             self.beside[b] = is_beside(self._bottom_from(b, grip), bool(self.beside[b]))
 
     def arrive(self, grip: Grip) -> None:
-        """The step came to rest: keep what friction has stretched."""
+        """End a step at rest: keep the stretch of friction."""
         contacts, _ = self._contacts(grip)
         press, drag = self._forces(contacts, self._slid(contacts, grip))
         self.stretch[:] = 0.0
@@ -112,7 +112,7 @@ class Bodies:
         return np.asarray((self.foot @ turn.T + place - self.block_place[b]) @ self.block_turn[b])
 
     def _contacts(self, grip: Grip) -> tuple[Contacts, NDArray[np.intp]]:
-        """All that may touch now, and which bodies: 0, 1: the object and a block; 2, 3: a block and the table."""
+        """All possible contacts now, and their bodies: 0, 1: the object and a block; 2, 3: a block and the table."""
         parts = [self._of_block(b, grip) for b in range(2)]
         bodies = [np.full(len(part.gaps), b) for b, part in enumerate(parts)]
         if self.free:
@@ -146,7 +146,7 @@ class Bodies:
     # ---- forces -----------------------------------------------------------------------------------------------------
 
     def _slid(self, contacts: Contacts, grip: Grip) -> Array:
-        """How far the first body's material has slid on the second's since the step began, [m, 3], mm, with stretch."""
+        """Slide of the first body's material on the second's since the step began, [m, 3], mm, with stretch."""
         points, slots = contacts.points, contacts.slots
         turn, place = self.pose(grip)
         ours = (points - place) @ (self._start[0] @ turn.T).T + self._start[1]
@@ -169,7 +169,7 @@ class Bodies:
         return press, drag * np.minimum(1.0, contacts.friction * press / np.maximum(size, 1e-300))[:, None]
 
     def _slopes(self, contacts: Contacts, press: Array, slid: Array, *, careful: bool) -> Array:
-        """How each contact's force on its first body changes with relative motion there, [m, 3, 3]."""
+        """Derivative of each contact's force on its first body by relative motion there, [m, 3, 3]."""
         across = TANGENTIAL_SHARE * contacts.stiffness
         normals, size = contacts.normals, np.sqrt((slid * slid).sum(axis=1))
         bound, most = contacts.friction * press, np.maximum(size, 1e-300)
@@ -183,7 +183,7 @@ class Bodies:
         return np.asarray(-(normals - follow)[:, :, None] * down - np.where(slips[:, None, None], slide, stick))
 
     def _follow(self, contacts: Contacts, bodies: NDArray[np.intp]) -> Array:
-        """How the first body's point moves against the second's with all motions, [m, 3, k]."""
+        """Motion of the first body's point relative to the second's per unit of all motions, [m, 3, k]."""
         out = np.zeros((len(bodies), 3, self.count))
         of_object = bodies < 2
         local = (contacts.points[of_object] - self.hand.place) @ self.hand.turn
@@ -198,7 +198,7 @@ class Bodies:
     # ---- the drive --------------------------------------------------------------------------------------------------
 
     def push(self, grip: Grip) -> Push:
-        """Contacts and weights; careful: what slides is as stiff along its slide as across it."""
+        """Contacts and weights; careful: sliding contacts are as stiff along their slide as across it."""
         contacts, bodies = self._contacts(grip)
         slid = self._slid(contacts, grip)
         press, drag = self._forces(contacts, slid)
@@ -230,7 +230,7 @@ class Bodies:
         return out
 
     def lines(self, _grip: Grip, points: Array) -> Array:
-        """Nodes follow the object's twist, and the gel's rest goes with the fingers: [n, 3, 7]."""
+        """Nodes follow the object's twist, and the gel's rest moves with the fingers: [n, 3, 7]."""
         opening = np.zeros((len(points), 3, 1))
         opening[:, 1, 0] = np.repeat([-0.5, 0.5], len(points) // 2)
         return np.concatenate([lines_of(points), opening], axis=2)
@@ -267,11 +267,11 @@ class Bodies:
         return max(float(parts.max()), abs(float(motion[OPENING])))
 
     def wrench(self, grip: Grip) -> Array:
-        """What blocks and weight do to the object, [6] N, N mm, at the TCP, hand frame."""
+        """Wrench of blocks and weight on the object, [6] N, N mm, at the TCP, hand frame."""
         return self.push(grip).force[:6]
 
     def block_motion(self) -> Array:
-        """How both blocks have moved, [2, 4]: dx, dy mm, yaw and tilt deg."""
+        """Motion of both blocks, [2, 4]: dx, dy mm, yaw and tilt deg."""
         out = np.zeros((2, 4))
         for b, sign in enumerate((1.0, -1.0)):
             turn = self.block_turn[b] * [sign, sign, 1.0]
@@ -286,5 +286,5 @@ def _of_block_motion(b: int) -> slice:
 
 
 def hand_at(pose: Array) -> Hand:
-    """Of a TCP pose (x, y, z mm, yaw rad)."""
+    """The hand at a TCP pose (x, y, z mm, yaw rad)."""
     return Hand(pose[:3].copy(), about_z(float(pose[3])))

@@ -1,6 +1,6 @@
 """The foreign cell: a hand that holds the object in pads of finite elements above the gap.
 
-It shares the scene, its frames and the ground truth with the project's own physics, and none of its code.
+It shares the scene, its frames and the ground truth with the project's own physics, but none of its code.
 """
 
 import math
@@ -27,8 +27,8 @@ TOLERANCE_N = 1e-7
 APPROACH_MM, CLEAR_MM = 5.0, 50.0
 CLOSING_STEPS = 6
 TOUCH_MM = 0.05  # how far the fingers close beyond first touch before they push
-THROUGH = 0.9  # of the thickness: small strains mean nothing there
-DIVISIONS, FIRST = 4, 0.125  # where the hand turns back, a stiff contact gives its force away within micrometres
+THROUGH = 0.9  # share of the thickness: beyond it small-strain theory has no meaning
+DIVISIONS, FIRST = 4, 0.125  # on a reversal of the hand, a stiff contact loses its force within micrometres
 FAILED_N = 120  # solves of a grasp. Insertions that end need none, each costs seconds; one took minutes a millimetre
 LOST_MM, LOST_GRIP = 12.0, 0.1
 YAW_ARM_MM = 40.0  # a yaw counts as the arc at this radius
@@ -37,9 +37,9 @@ ENDLESS_MM = 1e3
 
 
 def pad_of(scene: Scene) -> Pad:
-    """The gel pad that a scene describes; a rubber's Poisson's ratio unless it says otherwise.
+    """The gel pad that a scene describes; a rubber's Poisson's ratio unless stated.
 
-    Raises SceneError for what these pads do not have: viscosity, and fingers that give way.
+    Raises SceneError for properties that these pads lack: viscosity, and compliant fingers.
     """
     gel, sensor = scene.gel, scene.sensor
     for key, value in (
@@ -60,7 +60,7 @@ def pad_of(scene: Scene) -> Pad:
 
 
 class ForeignCell:
-    """A scene with its state; the same doors as the project's own cell."""
+    """A scene with its state; the same interface as the project's own cell."""
 
     relaxes = False
 
@@ -79,7 +79,7 @@ class ForeignCell:
         self.regrasp(0.0, 0.0)
 
     def reset_blocks(self) -> None:
-        """Put both blocks back where the scene has them."""
+        """Put both blocks back at the scene's positions."""
         self.bodies.reset()
 
     def regrasp(self, x_mm: float, theta_deg: float) -> CellState:
@@ -126,9 +126,9 @@ class ForeignCell:
             )
 
     def _rests(self, drive: Drive, travel: Array | None = None) -> bool:
-        """Solve a load step in place; all is as before where it finds no rest.
+        """Solve a load step in place; everything is restored where it does not converge.
 
-        travel [4] of the hand: where it goes on as before, so does the first guess.
+        travel [4] of the hand: where it continues the last motion, the first guess continues, too.
         """
         step, before = Step(self.pads, self.held, drive, self.grip), self.grip.copy()
         if travel is not None and self._pace is not None:
@@ -139,7 +139,7 @@ class ForeignCell:
         self._pace = None
         residual = step.solve(TOLERANCE_N)
         self.iterations += step.iterations
-        if not residual <= TOLERANCE_N:  # not a number is no rest either
+        if not residual <= TOLERANCE_N:  # NaN means not at rest, too
             step.undo()
             return False
         self.residual_n = residual
@@ -148,7 +148,7 @@ class ForeignCell:
         return True
 
     def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
-        """Move the TCP in a straight line; yaw about +z. Raises PhysicsError where no equilibrium was found."""
+        """Move the TCP in a straight line; yaw about +z. Raises PhysicsError where no equilibrium is found."""
         target = np.array([x_mm, y_mm, z_mm, math.radians(yaw_deg)])
         if not np.isfinite(target).all():
             raise ValueError(f"move_to: expected finite numbers, got {target.tolist()}")
@@ -184,7 +184,7 @@ class ForeignCell:
         return float(heights.min() - max(0.0, float(self.bodies.block_place[:, 2].max())))
 
     def _advance(self, target: Array, depth: int = 0) -> None:
-        """One load step, its first part alone where it must be. Raises PhysicsError."""
+        """One load step, or only its first part where necessary. Raises PhysicsError."""
         if self._drops():
             self.grasp_lost, self.pose = True, target.copy()
             self.bodies.hand = hand_at(target)
@@ -208,7 +208,7 @@ class ForeignCell:
             self._advance(target, depth + 1)
 
     def _drops(self) -> bool:
-        """Whether the object weighs more than friction between the pads can carry."""
+        """Whether the object's weight exceeds the friction between the pads."""
         pressing = np.abs(self.pads.forces(self.grip)[:, 1]).sum()
         return self.bodies.weight_n > self.pads.friction * float(pressing)
 

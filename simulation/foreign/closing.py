@@ -1,4 +1,4 @@
-"""Closing the fingers on an object that is held still but for y: it finds its place between them."""
+"""Closing the fingers on an object held still except along y: it finds its place between them."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 
 class Closing:
-    """A drive of two motions, mm: the fingers' opening, under the force that they bear, and the object along y."""
+    """A drive of two motions, mm: the fingers' opening, under their force, and the object along y."""
 
     count = 2
     turns = False
@@ -19,11 +19,11 @@ class Closing:
         self._side, self.force_n = side, force_n
 
     def push(self, _grip: Grip) -> Push:
-        """The gels push the fingers apart, the drive holds against it."""
+        """The gels push the fingers apart; the drive holds against them."""
         return Push(np.array([-self.force_n, 0.0]), lambda _careful: np.zeros((2, 2)))
 
     def lines(self, _grip: Grip, points: Array) -> Array:
-        """Opening moves the gel's rest away from the nodes, the object takes them along: [n, 3, 2]."""
+        """Opening moves the gel's rest away from the nodes; the object takes the nodes along: [n, 3, 2]."""
         out = np.zeros((len(points), 3, 2))
         out[:, 1, 0], out[:, 1, 1] = -0.5 * self._side, 1.0
         return out
@@ -34,16 +34,16 @@ class Closing:
         grip.place[1] += float(motion[1])
 
     def weight(self, force: Array) -> float:
-        """N."""
+        """Largest unbalanced force, N."""
         return float(np.abs(force).max())
 
     def reach(self, motion: Array) -> float:
-        """Mm."""
+        """Largest motion, mm."""
         return float(np.abs(motion).max())
 
     def memory(self) -> tuple[Array, ...]:
-        """Nothing moves but the grip."""
+        """Empty: nothing moves except the grip."""
         return ()
 
     def recall(self, memory: tuple[Array, ...]) -> None:
-        """Nothing to put back."""
+        """Nothing to restore."""

@@ -1,8 +1,8 @@
-"""Where an object's flat bottom and upright sides meet a block, in the block's frame.
+"""Contacts of an object's flat bottom and upright sides with a block, in the block's frame.
 
 Block frame: origin in the middle of the inner top edge, x into the block, y along the edge, z up. The bottom face is
-cut along the inner edge: what lies over the block stands on its top (corners) or on its edge (the cut's ends). Below
-the tops, it is the prism's upright edges that lean on the wall.
+cut along the inner edge: the part over the block stands on its top (corners) or on its edge (the cut's ends). Below the
+tops, the prism's upright edges lean on the wall.
 """
 
 from typing import NamedTuple
@@ -14,11 +14,11 @@ from simulation.foreign.rigid import cross_matrix
 
 Array = NDArray[np.float64]
 
-ENTERED_MM = 0.5  # how much deeper than it overlaps an object must be to count as beside a block
+ENTERED_MM = 0.5  # how much an object's depth must exceed its overlap to count as beside a block
 
 
 class Properties(NamedTuple):
-    """Of contacts: stiffness of an edge's end and of a corner, N/mm; friction."""
+    """Contact properties: stiffness of an edge's end and of a corner, N/mm; friction."""
 
     stiffness: float
     shared: float
@@ -28,7 +28,8 @@ class Properties(NamedTuple):
 class Contacts(NamedTuple):
     """m possible contacts: points and normals [m, 3] (on the first body, work-object frame), gaps, mm, slots [m].
 
-    travel [m, 3, 3]: how the point moves with the first body's motion there. turns [m]: the normal is the object's.
+    travel [m, 3, 3]: motion of the point per unit of the first body's motion there. turns [m]: the normal is the
+    object's.
     """
 
     points: Array
@@ -42,7 +43,7 @@ class Contacts(NamedTuple):
 
 
 def is_beside(corners: Array, was: bool) -> bool:
-    """Whether an object with such corners leans on the block's wall instead of standing on its top."""
+    """Whether an object with these corners leans on the block's wall instead of standing on its top."""
     below = corners[:, 2] < 0.0
     if was or not below.any():
         return was and bool(below.any())

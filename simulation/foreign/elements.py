@@ -1,10 +1,10 @@
-"""A gel pad of finite elements, condensed onto the nodes of its face that can be touched.
+"""A gel pad of finite elements, condensed onto the touchable nodes of its face.
 
 The pad is a block of quadratic hexahedra (27 nodes), bonded to the finger at its back. Pad frame: x along the pad, y
-out of the gel towards the object, z up the pad; the face at rest lies at y = 0. Volume changes are taken through
-pressures that are linear within each element and eliminated there (Q2/P1 discontinuous: inf-sup stable, so that a
-Poisson's ratio near 0.5 does not lock; Bathe, Finite Element Procedures, 1996, 4.5). Strains are small. Everything that
-is not touched is eliminated once (Schur's complement), which is exact.
+out of the gel towards the object, z up the pad; the face at rest lies at y = 0. Volume changes use pressures that are
+linear within each element and eliminated there (Q2/P1 discontinuous: inf-sup stable, so that a Poisson's ratio near 0.5
+does not lock; Bathe, Finite Element Procedures, 1996, 4.5). Strains are small. All other nodes are eliminated once
+(Schur's complement), which is exact.
 """
 
 import math
@@ -20,13 +20,13 @@ from skfem.helpers import ddot, div, sym_grad
 
 Array = NDArray[np.float64]
 
-ENDLESS_THICKNESSES = 3.0  # a load's trace falls by exp(-pi / 2) a thickness: more gel than this changes nothing
+ENDLESS_THICKNESSES = 3.0  # a load's trace falls by exp(-pi / 2) per thickness: more gel changes nothing
 
 
 class Pad(NamedTuple):
-    """A pad: its face of width (x) times height (z) that can be touched, and how it is cut into elements.
+    """A pad: its touchable face of width (x) times height (z), and its division into elements.
 
-    margin (x, z): how far the gel goes on beyond that face on either side. columns, rows, layers: elements.
+    margin (x, z): extent of the gel beyond that face on either side. columns, rows, layers: elements.
     """
 
     width_mm: float
@@ -40,11 +40,10 @@ class Pad(NamedTuple):
 
 
 class Face(NamedTuple):
-    """What of a pad the contact sees. Its n nodes are a grid [2 rows + 1, 2 columns + 1], z then x.
+    """A pad as its contacts see it. Its n nodes are a grid [2 rows + 1, 2 columns + 1], z then x.
 
-    x, z [columns], [rows]: places of the grid's lines, mm. area [n]: mm2 of the face that a node stands for.
-    stiffness [3 n, 3 n]: nodal forces (x, y, z of each node, N) over displacements (mm), for a shear modulus of 1
-    N/mm2.
+    x, z [columns], [rows]: places of the grid's lines, mm. area [n]: mm2 of the face that a node represents. stiffness
+    [3 n, 3 n]: nodal forces (x, y, z of each node, N) over displacements (mm), for a shear modulus of 1 N/mm2.
     """
 
     x: Array
@@ -54,7 +53,7 @@ class Face(NamedTuple):
 
     @property
     def rest(self) -> Array:
-        """Where the nodes are at rest, [n, 3], mm."""
+        """Rest positions of the nodes, [n, 3], mm."""
         z, x = np.meshgrid(self.z, self.x, indexing="ij")
         return np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
 
@@ -71,7 +70,7 @@ def _lines(half_mm: float, margin_mm: float, count: int, thickness_mm: float) ->
 
 
 def stiffness_matrix(basis: Basis, poisson_ratio: float) -> csc_matrix:
-    """Of all displacements of a mesh of bricks, for a shear modulus of 1."""
+    """Stiffness of all displacements of a mesh of bricks, for a shear modulus of 1."""
 
     @BilinearForm
     def shear(u: Any, v: Any, _w: Any) -> Any:
@@ -94,7 +93,7 @@ def stiffness_matrix(basis: Basis, poisson_ratio: float) -> csc_matrix:
 
 @lru_cache(maxsize=8)
 def face_of(pad: Pad) -> Face:
-    """The condensed face of a pad; made once for each geometry. Raises ValueError for a pad that cannot be."""
+    """The condensed face of a pad; computed once per geometry. Raises ValueError for an impossible pad."""
     if not (min(pad.width_mm, pad.height_mm, pad.thickness_mm) > 0.0 and 0.0 <= pad.poisson_ratio < 0.5):
         raise ValueError(f"gel: expected sizes > 0 mm and 0 <= Poisson's ratio < 0.5, got {pad}")
     x = _lines(0.5 * pad.width_mm, pad.margin_mm[0], pad.columns, pad.thickness_mm)
@@ -122,7 +121,7 @@ def _condensed(matrix: csc_matrix, face: NDArray[np.intp], held: NDArray[np.intp
 
 
 def _areas(mesh: MeshHex, half_mm: Array, dofs: NDArray[np.intp]) -> Array:
-    """What each node of the face stands for, mm2: a uniform pressure's nodal forces."""
+    """The area of each node of the face, mm2: a uniform pressure's nodal forces."""
     facets = mesh.facets_satisfying(
         lambda x: np.isclose(x[1], 0.0) & (np.abs(x[0]) < half_mm[0]) & (np.abs(x[2]) < half_mm[1])
     )

@@ -1,9 +1,9 @@
 """One load step: semi-smooth Newton on the pads' nodes and all rigid motions at once.
 
-With the friction limits held, a step's equations are those of a convex problem: elastic energy, limits times slips,
-no penetration. `solve` first lets the limits follow the pressures within Newton's iteration, which needs a handful of
-iterations. Where that does not come to rest, it solves the convex problem again and again with limits renewed from
-its pressures (as in Haslinger's fixed point), and gives up by name where that does not settle either.
+With the friction limits held, a step's equations are those of a convex problem: elastic energy, limits times slips, no
+penetration. `solve` first lets the limits follow the pressures within Newton's iteration, which needs a handful of
+iterations. If that does not converge, it solves the convex problem repeatedly, with limits renewed from its pressures
+(Haslinger's fixed point). If that does not settle either, it reports failure.
 """
 
 from collections.abc import Callable
@@ -18,18 +18,18 @@ from simulation.foreign.surface import HeldSurface
 Array = NDArray[np.float64]
 
 FOLLOWING, HOLDING, ROUNDS = 20, 60, 40
-CURVED = 8  # iterations in which the held surface's planes are renewed; a kink would have them jump for ever
-NEARLY_N = 1e-4  # limits that a round changes by less are left to Newton
+CURVED = 8  # iterations in which the held surface's planes are renewed; at a kink they would jump for ever
+NEARLY_N = 1e-4  # when a round changes the limits by less, Newton finishes
 BALANCING, BALANCED, SEARCHING, OVERSHOT = 8, 1e-2, 5, 0.5
-STUCK = 1e-5  # residuals that hardly change from iteration to iteration will not
-LONGEST_MM = 0.5  # of an iteration's motion: beyond it, its equations mean nothing
-ARM_MM = 10.0  # turns a torque residual into a force, a rotation into a way
+STUCK = 1e-5  # below this relative change per iteration the residual has stalled
+LONGEST_MM = 0.5  # longest motion of one iteration: beyond it, the linearised equations have no meaning
+ARM_MM = 10.0  # turns a torque residual into a force, a rotation into a length
 
 
 class Push(NamedTuple):
-    """Generalised force on the rigid motions [k] (N, N mm), and what gives its derivative [k, k] in that state.
+    """Generalised force on the rigid motions [k] (N, N mm), and a function for its derivative [k, k] in that state.
 
-    The derivative is asked for with whether to be careful: with a slope that never gives out, for friction that slides.
+    The function's argument is whether to be careful: to use a slope that never vanishes, for sliding friction.
     """
 
     force: Array
@@ -37,19 +37,19 @@ class Push(NamedTuple):
 
 
 class Drive(Protocol):
-    """The rigid motions y [k] that a step solves for, with all that acts on them but the pads."""
+    """The rigid motions y [k] that a step solves for, with all their loads except the pads'."""
 
     count: int  # k
     turns: bool  # whether the first six are the held object's twist about the TCP
 
     def push(self, grip: Grip) -> Push:
-        """What acts in a state."""
+        """The push in a state."""
 
     def lines(self, grip: Grip, points: Array) -> Array:
-        """How the pads' nodes [n, 3] follow the first j motions, relative to the gel's rest: [n, 3, j]."""
+        """Motion of the pads' nodes [n, 3] with the first j motions, relative to the gel's rest: [n, 3, j]."""
 
     def move(self, grip: Grip, motion: Array) -> None:
-        """Apply a motion [k] to the grip and to whatever else moves."""
+        """Apply a motion [k] to the grip and to all other moving bodies."""
 
     def weight(self, force: Array) -> float:
         """Largest of unbalanced forces [k] in N."""
@@ -58,14 +58,14 @@ class Drive(Protocol):
         """About how far a motion [k] moves anything, mm."""
 
     def memory(self) -> tuple[Array, ...]:
-        """Copies of what `move` changes, the grip aside."""
+        """Copies of everything that `move` changes, except the grip."""
 
     def recall(self, memory: tuple[Array, ...]) -> None:
-        """Put back what `memory` gave."""
+        """Restore a result of `memory`."""
 
 
 class Step:
-    """A load step of a grip under a drive; `run` leaves the grip at its end, or somewhere, and says which."""
+    """A load step of a grip under a drive; `run` leaves the grip at the solution or elsewhere, and returns which."""
 
     def __init__(self, pads: Pads, held: HeldSurface, drive: Drive, grip: Grip) -> None:
         self.pads, self.held, self.drive, self.grip, self.start = pads, held, drive, grip, grip.on.copy()
@@ -74,7 +74,7 @@ class Step:
         self._before, self._memory = grip.copy(), drive.memory()
 
     def guess(self, on: Array, motion: Array) -> None:
-        """Begin the search where nodes have moved by on [n, 3] and rigid motions are motion [k]."""
+        """Start the search from node motions on [n, 3] and rigid motions motion [k]."""
         self._guessed = True
         self.grip.on += on
         self.drive.move(self.grip, motion)
@@ -84,7 +84,7 @@ class Step:
         self.grip.take(self._before)
 
     def solve(self, tolerance_n: float) -> float:
-        """Find the step's end. The residual, N; infinite where none was found."""
+        """Solve for the end of the step. Returns the residual, N; infinite if there is no solution."""
         residual = self.run(tolerance_n, None, FOLLOWING) if self._guessed else np.inf
         for follow in (True, False):
             if residual <= tolerance_n:
@@ -94,13 +94,13 @@ class Step:
         return residual
 
     def _afresh(self) -> None:
-        """Begin where the step began, with all nodes held that touch: an elastic predictor."""
+        """Restart from the beginning of the step with all touching nodes held: an elastic predictor."""
         self.undo()
         self.grip.status[self.grip.status == SLIP] = STICK
         self.planes = self.pads.planes(self.held, self.grip.on)
 
     def _by_rounds(self, tolerance_n: float) -> float:
-        """The convex problem with limits held, again and again, each with the limits of the last one's pressures."""
+        """The convex problem with limits held, repeatedly, each time with the limits from the last pressures."""
         limit = self.pads.friction * np.maximum(self._pressing(), 0.0)
         for _ in range(ROUNDS):
             if self.run(tolerance_n, limit, HOLDING) > tolerance_n:
@@ -146,7 +146,7 @@ class Step:
         return np.inf
 
     def _improve(self, terms: NodeTerms, lines: Array, push: Push, *, follow: bool) -> None:
-        """Newton's step of the pads, whose slipping nodes are eliminated; what they then are to the drive is linear."""
+        """Newton's step of the pads, with the slipping nodes eliminated, which leaves a linear term for the drive."""
         pads, grip, drive, k = self.pads, self.grip, self.drive, lines.shape[2]
         matrix, force, answers = np.zeros((drive.count, drive.count)), np.zeros(drive.count), []
         for pad in range(2):
@@ -168,10 +168,10 @@ class Step:
         pads.relax(grip)
 
     def _balance(self, push: Push, force: Array, matrix: Array) -> Array:
-        """Move the drive to where its push balances the pads' force + matrix y; the motion y [k].
+        """Move the drive to where its push balances the pads' force + matrix y; returns the motion y [k].
 
-        A problem of few unknowns and stiff contacts: Newton's iteration with a line search and, where contacts that
-        slide have nothing to hold on to, one that takes their friction for springs of the size it has.
+        This has few unknowns and stiff contacts: Newton's iteration with a line search and, where sliding contacts
+        leave nothing to hold on to, one that treats their friction as springs of its size.
         """
         drive, grip = self.drive, self.grip
         goal = BALANCED * drive.weight(push.force + force)
@@ -213,7 +213,7 @@ class Step:
 
 
 def _torque_rows(forces: Array) -> Array:
-    """How the torque of forces [n, 3] on the gel changes on the object as their points move: [3, 3 n]."""
+    """Change of the torque of forces [n, 3] on the object as their points move: [3, 3 n]."""
     out = np.zeros((3, *forces.shape))
     out[0, :, 1], out[0, :, 2] = -forces[:, 2], forces[:, 1]
     out[1, :, 0], out[1, :, 2] = forces[:, 2], -forces[:, 0]

@@ -1,10 +1,10 @@
-"""Both pads on the held object: which of their nodes are open, stick or slip, and the equations that follow.
+"""Both pads on the held object: which of their nodes are open, stick or slip, and the resulting equations.
 
 Hand frame: origin at the TCP, x and z along the pads, y across. A node touches the object at a point of the object's
-own frame, which stays where it is while the node sticks. The object is rigid, so that a step's unknowns are its twist
-and the motion of those nodes only that do not stick: tangential for a slipping node, free for an open one. Forces are
-those that the object exerts on the gel. Friction is Coulomb's, |t| <= mu p at each node; within a step, slip s since
-its beginning and t obey t = projection of (t - rho s) onto the disc of radius mu p (Alart and Curnier, 1991).
+own frame, which is fixed while the node sticks. The object is rigid, so a step's unknowns are its twist and the motion
+of the nodes that do not stick: tangential for a slipping node, free for an open one. Forces are those of the object on
+the gel. Friction is Coulomb's, |t| <= mu p at each node. Within a step, slip s since its beginning and t obey t =
+projection of (t - rho s) onto the disc of radius mu p (Alart and Curnier, 1991).
 """
 
 from dataclasses import dataclass
@@ -20,13 +20,13 @@ from simulation.foreign.surface import HeldSurface
 Array = NDArray[np.float64]
 
 OPEN, STICK, SLIP = 0, 1, 2
-KEPT = 4  # sets of open nodes for which a pad is kept condensed
+KEPT = 4  # sets of open nodes for which a condensed pad is cached
 ROUNDING_MM = 1e-12
 
 
 @dataclass(slots=True)
 class Grip:
-    """Where the object is in the hand, and where every node of both pads is on it; [n] runs over both pads.
+    """The object in the hand, and every node of both pads on it; [n] runs over both pads.
 
     turn [3, 3], place [3]: object frame in the hand frame. on [n, 3]: the nodes in the object frame, mm. status [n].
     """
@@ -62,7 +62,7 @@ class Planes(NamedTuple):
     offset: Array
 
     def gap(self, on: Array) -> Array:
-        """How far nodes [n, 3] are outside, [n], mm."""
+        """Distance of nodes [n, 3] from the surface, outside positive, [n], mm."""
         return np.asarray(np.einsum("ij,ij->i", self.normal, on) - self.offset)
 
     def slide(self, motion: Array) -> Array:
@@ -79,18 +79,18 @@ class NodeTerms(NamedTuple):
     tangents: Array  # [n, 2, 3]
     pressing: Array  # [n], N
     drag: Array  # [n, 2], N
-    trial: Array  # [n, 2], drag less rho times slip
+    trial: Array  # [n, 2], drag minus rho times slip
     limit: Array  # [n], N
     ahead: Array  # [n, 2], unit vectors along trial
     status: NDArray[np.int8]  # that each node should have
-    amiss_n: float  # how far, in force, any node is from the laws of contact with the status that it has
+    amiss_n: float  # largest violation, in force, of the laws of contact by any node with its present status
 
 
 class Rows(NamedTuple):
     """The s slipping nodes' equations of one pad, M a + B y = -defect; they move by a [2 s] along their tangents.
 
-    Of its c closed nodes: stiffness [3 c, 3 c] with the open ones let go, lines [3 c, k] and forces [3 c]. slipping
-    [s]: among the nodes of both pads; own [s]: among the closed ones.
+    Of its c closed nodes: stiffness [3 c, 3 c] with the open ones released, lines [3 c, k] and forces [3 c]. slipping
+    [s]: indices among the nodes of both pads; own [s]: among the closed ones.
     """
 
     matrix: Array
@@ -104,12 +104,12 @@ class Rows(NamedTuple):
     tangents: Array
 
     def along(self, rows: Array) -> Array:
-        """Of rows [j, 3 c] what belongs to the slips, [j, 2 s]."""
+        """The part of rows [j, 3 c] along the slips, [j, 2 s]."""
         return _along(rows, self.own, self.tangents)
 
 
 class Closed(NamedTuple):
-    """A pad whose open nodes feel no force: its c closed nodes, their stiffness and what the open ones do.
+    """A pad with force-free open nodes: its c closed nodes, their stiffness and the open nodes' motion.
 
     open_ [o]; follow [3 o, 3 c]: displacements of open nodes over those of closed ones.
     """
@@ -121,7 +121,7 @@ class Closed(NamedTuple):
 
 
 class Pads:
-    """The two gels: stiffness, rest, friction; the methods judge and linearise a `Grip`."""
+    """The two gels: stiffness, rest, friction; the methods evaluate and linearise a `Grip`."""
 
     def __init__(self, face: Face, shear_modulus_n_per_mm2: float, friction: float, crown_mm: float) -> None:
         self.friction, self.count = friction, len(face.area)
@@ -131,7 +131,7 @@ class Pads:
         self.rest = np.concatenate([rest, rest])
         self.rest[:, 1] = self.side * np.concatenate([crown, crown])
         self.area = np.concatenate([face.area, face.area])
-        # the pad frame's y leads out of the gel, which is -y of the hand for the pad at +y: a mirror image
+        # the pad frame's y points out of the gel, which is -y of the hand for the pad at +y: a mirror image
         flip = np.tile([1.0, -1.0, 1.0], self.count)
         own = shear_modulus_n_per_mm2 * face.stiffness
         self.stiffness = (own * np.outer(flip, flip), own)
@@ -139,13 +139,13 @@ class Pads:
         self._let_go: tuple[dict[bytes, Closed], ...] = ({}, {})
 
     def rested(self, opening: float) -> Array:
-        """Nodes at rest in the hand frame [n, 3], mm, with the fingers at an opening."""
+        """Rest positions of the nodes in the hand frame [n, 3], mm, at an opening of the fingers."""
         out = self.rest.copy()
         out[:, 1] += 0.5 * opening * self.side
         return out
 
     def forces(self, grip: Grip) -> Array:
-        """What the object does to the nodes, [n, 3], N, hand frame."""
+        """Forces of the object on the nodes, [n, 3], N, hand frame."""
         motion = (grip.points - self.rested(grip.opening)).reshape(2, -1)
         return np.concatenate([k @ part for k, part in zip(self.stiffness, motion, strict=True)]).reshape(-1, 3)
 
@@ -160,7 +160,7 @@ class Pads:
         return Planes(normal, first, second, (height - slope * on[:, 0]) / size)
 
     def evaluate(self, grip: Grip, planes: Planes, start: Array, held_limit: Array | None) -> NodeTerms:
-        """Forces at a state and the status that each node should have; held_limit [n] in place of mu p."""
+        """Forces at a state and the status that each node should have; held_limit [n] replaces mu p."""
         forces, turn = self.forces(grip), grip.turn.T
         normal = planes.normal @ turn
         tangents = np.stack([planes.first @ turn, planes.second @ turn], axis=1)
@@ -183,7 +183,7 @@ class Pads:
         return NodeTerms(forces, normal, tangents, pressing, drag, trial, limit, ahead, status, worst)
 
     def let_go(self, pad: int, opened: NDArray[np.bool_]) -> Closed:
-        """A pad with some of its nodes open [n / 2]; kept for the few sets that a step comes back to."""
+        """A pad with some of its nodes open [n / 2]; cached for the few sets to which a step returns."""
         known, key = self._let_go[pad], opened.tobytes()
         if key not in known:
             while len(known) >= KEPT:
@@ -199,7 +199,7 @@ class Pads:
         return known[key]
 
     def relax(self, grip: Grip) -> None:
-        """Put open nodes where they feel no force."""
+        """Put open nodes where no force acts on them."""
         opened = (grip.status == OPEN).reshape(2, -1)
         if not opened.any():
             return
@@ -211,7 +211,7 @@ class Pads:
             grip.on[free] = (rested[free] + moved - grip.place) @ grip.turn
 
     def rows(self, pad: int, grip: Grip, terms: NodeTerms, lines: Array, *, follow: bool, turns: bool) -> Rows:
-        """Equations of a pad's slips; lines [n, 3, k], limits that follow the pressures, y that is a twist."""
+        """Equations of a pad's slips; lines [n, 3, k]; follow: limits follow the pressures; turns: y is a twist."""
         first = pad * self.count
         part = self.let_go(pad, grip.status[first : first + self.count] == OPEN)
         held = first + part.closed
@@ -236,9 +236,9 @@ class Pads:
         return Rows(matrix, coupling, slid.ravel(), part.stiffness, flat, forces, slipping, own, tangents)
 
     def settle(self, grip: Grip, planes: Planes, start: Array, status: NDArray[np.int8]) -> bool:
-        """Give nodes their status: closed ones lie on the surface, sticking ones where they began the step.
+        """Set the nodes' status: closed ones lie on the surface, sticking ones where they began the step.
 
-        Whether that moved any of them, or let any go.
+        Returns whether that moved or released any of them.
         """
         before, changed = grip.on.copy(), bool((status != grip.status).any())
         grip.status = status
@@ -254,7 +254,7 @@ def _dofs(chosen: NDArray[np.bool_]) -> NDArray[np.intp]:
 
 
 def _along(rows: Array, nodes: NDArray[np.intp], tangents: Array) -> Array:
-    """Of rows [j, 3 c] what belongs to motions of nodes [s] along their tangents [s, 2, 3]: [j, 2 s]."""
+    """The part of rows [j, 3 c] along motions of nodes [s] on their tangents [s, 2, 3]: [j, 2 s]."""
     parts = rows.reshape(len(rows), rows.shape[1] // 3, 3)[:, nodes]
     return np.asarray(
         (parts.swapaxes(0, 1) @ tangents.swapaxes(1, 2)).swapaxes(0, 1).reshape(len(rows), 2 * len(nodes))

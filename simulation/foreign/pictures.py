@@ -1,7 +1,7 @@
-"""What the cameras of the foreign cell show: a Lambertian gel under three point lights, printed dots, shot noise.
+"""Pictures of the foreign cell's cameras: a Lambertian gel under three point lights, printed dots, shot noise.
 
-Another light, another print and another noise than those of `simulation.optics`, from which nothing is taken. The
-light falls on the gel's true slopes: a stiff gel that is pressed in by little shows little.
+Light, print and noise are independent of `simulation.optics`; no code is shared. The light falls on the gel's true
+slopes: a stiff gel with a shallow imprint shows little.
 """
 
 from typing import Any
@@ -16,23 +16,23 @@ from service.perception.rectification import CameraCalibration
 Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
-HEIGHT_MM, BESIDE_MM = 14.0, 14.0  # of the lights above the gel and beyond its rim; grazing light shows slopes
-LIGHTS = (  # colour (blue, green, red), and where it stands in shares of the picture (u, v)
+HEIGHT_MM, BESIDE_MM = 14.0, 14.0  # lights above the gel and beyond its rim; grazing light shows slopes
+LIGHTS = (  # colour (blue, green, red), and position in shares of the picture (u, v)
     ((0.15, 0.95, 0.25), (0.0, 0.5)),
     ((0.20, 0.25, 0.95), (1.0, 0.5)),
     ((0.85, 0.35, 0.30), (0.5, 1.0)),
 )
-AMBIENT, BRIGHT = 0.3, 105.0  # share of the light that has no direction; grey levels of an even gel, on average
+AMBIENT, BRIGHT = 0.3, 105.0  # share of ambient light; mean grey level of a flat gel
 DOT_ALBEDO, DOT_RIM_PX, DOT_SIZES, DOT_PLACES_PX = 0.3, 0.8, 0.06, 0.35
 MOTTLED, MOTTLE_PX = 0.04, 6.0
-SHOT_GREY, READ_GREY, ROW_GREY = 0.055, 1.0, 0.4  # variance by grey level; read and row noise at a camera noise of 4
-ROUNDS = 5  # the gel that a pixel shows: X = p - U(X); U changes by less than 0.3 a pixel
+SHOT_GREY, READ_GREY, ROW_GREY = 0.055, 1.0, 0.4  # variance per grey level; read and row noise at a camera noise of 4
+ROUNDS = 5  # fixed-point rounds for the gel that a pixel shows: X = p - U(X); U changes by less than 0.3 per pixel
 
 
 class Camera:
     """One finger's camera; frames are raw ones, uint8 [h, w, 3] BGR.
 
-    Gel states are [rows, columns, 4]: motion along u and v in mm, pressure, and how far the face is pressed in, mm.
+    Gel states are [rows, columns, 4]: motion along u and v in mm, pressure, and depth of the imprint, mm.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Camera:
         return CameraCalibration(self._homography, self.sensor.raw, self.sensor.rectified)
 
     def raw(self, gel: NDArray[np.floating], frame_seed: int, previous: NDArray[np.floating] | None = None) -> Image:
-        """A frame of a gel [rows, columns, 4]; ``previous``: a frame earlier, of which an exposure shows a share.
+        """A frame of a gel [rows, columns, 4]; ``previous``: the state one frame earlier, for motion blur.
 
         Raises ValueError where the gel has another shape.
         """
@@ -91,7 +91,7 @@ class Camera:
         return np.asarray(self._bright * albedo * shade * self._window + 12.0 * (1.0 - self._window), np.float32)
 
     def _light(self, colour: tuple[float, ...], at: tuple[float, float]) -> tuple[Floats, Floats, Floats]:
-        """A light's colour, how a slope (u, v) takes from it [h, w, 2], and what falls on a flat gel [h, w, 1]."""
+        """A light's colour, its change by a slope (u, v) [h, w, 2], and its level on a flat gel [h, w, 1]."""
         size = np.array([self.sensor.width_px - 1, self.sensor.height_px - 1]) * self.sensor.mm_per_px
         place = np.array(at) * size + np.sign(np.array(at) - 0.5) * BESIDE_MM
         way = (place - self._at * self.sensor.mm_per_px).astype(np.float32)
@@ -100,7 +100,7 @@ class Camera:
         return np.asarray(colour, np.float32), np.asarray(fall * way / far), np.asarray(fall * HEIGHT_MM / far)
 
     def _spread(self, lattice: NDArray[np.floating]) -> Floats:
-        """Values at the markers [rows, columns, 3] at every rectified pixel, those at the rim continued."""
+        """Values at the markers [rows, columns, 3] at every rectified pixel; those at the rim are continued."""
         u, v = self.sensor.first_marker_px
         columns = (np.arange(self.sensor.width_px) - u) / self.sensor.marker_pitch_px
         rows = (np.arange(self.sensor.height_px) - v) / self.sensor.marker_pitch_px
@@ -126,10 +126,10 @@ class Camera:
 
 
 def _sampled(source: Floats, at: Floats, interpolation: int = cv2.INTER_LINEAR) -> Floats:
-    """``source`` [rows, columns, 3] at positions [h, w, 2], its rim continued outside.
+    """``source`` [rows, columns, 3] at positions [h, w, 2]; its rim continues outside.
 
     Always three channels: with fewer, OpenCV interpolates at 1/32 of a pixel.
     """
-    # the stubs want a second map, but an empty array in its place is read as one by OpenCV 5's fast paths
+    # the stubs want a second map, but OpenCV 5's fast paths read an empty array in its place as a map
     none: Any = None
     return np.asarray(cv2.remap(source, at, none, interpolation, borderMode=cv2.BORDER_REPLICATE), np.float32)

@@ -1,4 +1,4 @@
-"""From the pads' face to what a camera could see: displacement, pressure and imprint where the markers rest."""
+"""From the pads' face to the camera's view: displacement, pressure and imprint at the marker rest positions."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 class Readout:
     """Gel fields of a sensor: nodes' displacements and pressures in, float32 [2, rows, columns, 4] out.
 
-    The fourth value is how far the face is pressed in, mm, for this cell's own pictures.
+    The fourth value is the depth of the imprint, mm, for this cell's own pictures.
     """
 
     def __init__(self, face: Face, sensor: Sensor) -> None:
@@ -43,7 +43,7 @@ class Readout:
         return np.asarray(fingers, np.float32)
 
     def nearest(self, values: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Of values [n] at the nodes, those next to each marker: [2, rows, columns]."""
+        """Values of the nodes [n] nearest each marker: [2, rows, columns]."""
         grids = values.reshape(2, *self._grid)
         return np.stack([grid[index] for grid, index in zip(grids, self._nearest, strict=True)])
 

@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def cross_matrix(a: Array) -> Array:
-    """What a x b is as a matrix [..., 3, 3] on b."""
+    """The matrix [..., 3, 3] of a x b, acting on b."""
     out = np.zeros((*a.shape, 3))
     out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -a[..., 2], a[..., 1], -a[..., 0]
     out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = a[..., 2], -a[..., 1], a[..., 0]
@@ -38,7 +38,7 @@ def about_z(angle_rad: float) -> Array:
 
 
 def lines_of(points: Array) -> Array:
-    """How points [n, 3] follow a twist (mm, rad) about the origin: [n, 3, 6]."""
+    """Motion of points [n, 3] per unit twist (mm, rad) about the origin: [n, 3, 6]."""
     out = np.zeros((len(points), 3, 6))
     out[:, :, :3], out[:, :, 3:] = np.eye(3), -cross_matrix(points)
     return out

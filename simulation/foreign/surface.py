@@ -1,4 +1,4 @@
-"""The held surface: how high it is and how it slopes, for both sides of an object.
+"""The held surface: its height and slope on both sides of an object.
 
 Object frame. On side s (+1: +y, -1: -y) the surface is y = s * height(x); the object is a prism there.
 """
@@ -11,7 +11,7 @@ from simulation.scene.parts import HeldObject
 Array = NDArray[np.float64]
 
 NOTHING_MM = -1e3  # height where there is no surface
-STEEPEST = 0.95  # of an arc's half width: beyond it the gel meets nothing
+STEEPEST = 0.95  # share of an arc's half width: the gel touches nothing beyond it
 
 
 class HeldSurface:
@@ -22,7 +22,7 @@ class HeldSurface:
 
     @property
     def crest_mm(self) -> float:
-        """How far from y = 0 the object reaches between the fingers."""
+        """Largest distance from y = 0 that the object reaches between the fingers."""
         return float(self._profile[0])
 
     def at(self, side: Array, x: Array) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 from service.contract import FINGERS, Finger, Sensor
 from simulation.scene.scene import Scene
 
-# A scene's word for the held surface -> (relief pattern, period in px, gain)
+# Name of the held surface in a scene -> (relief pattern, period in px, gain)
 OBJECT_TEXTURES = {
     "smooth": ("smooth", 5.0, 0.05),
     "paper": ("smooth", 3.0, 0.09),
@@ -21,9 +21,9 @@ OBJECT_TEXTURES = {
 
 @dataclass(frozen=True, slots=True)
 class Appearance:
-    """Optics of one finger. Lengths in rectified px unless the name says otherwise; light as a share of full scale.
+    """Optics of one finger. Lengths in rectified px unless the name says otherwise; light as a fraction of full scale.
 
-    ``corners_raw_px`` are those of the sensor's profile, moved by how the camera is mounted.
+    ``corners_raw_px`` are those of the sensor's profile, displaced by the mounting of the camera.
     """
 
     finger: Finger = "left"
@@ -57,8 +57,8 @@ class Appearance:
     def draw(cls, scene: Scene, finger: Finger, seed: int) -> Self:
         """The appearance of ``finger`` in ``scene``; the same (scene, finger, seed) gives the same numbers.
 
-        What the scene states (sensor, noise, exposure, textures) is taken as it is; what a maker cannot control
-        (mounting, LED balance, yarn) is drawn from ``seed``.
+        Values stated by the scene (sensor, noise, exposure, textures) are used unchanged; those that a maker cannot
+        control (mounting, LED balance, yarn) are drawn from ``seed``.
         """
         rng = np.random.Generator(np.random.PCG64([seed, FINGERS.index(finger), 0x1A9]))
         given = optics_of(scene)
@@ -75,7 +75,7 @@ class Appearance:
         return cls(finger=finger, **(drawn | given))
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data, exact: ``from_dict(as_dict(), sensor) == self``; of the sensor it holds the scale alone."""
+        """Plain data, exact: ``from_dict(as_dict(), sensor) == self``; of the sensor it holds only the scale."""
         own = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "sensor"}
         return own | {"mm_per_px": self.sensor.mm_per_px}
 
@@ -83,7 +83,7 @@ class Appearance:
     def from_dict(cls, data: dict[str, Any], sensor: Sensor) -> Self:
         """Inverse of :meth:`as_dict` (also after JSON).
 
-        Raises ValueError naming unknown keys, or the scale if it is another sensor's.
+        Raises ValueError naming unknown keys, or the scale if it belongs to another sensor.
         """
         own = {name: _as_tuples(value) for name, value in data.items() if name != "mm_per_px"}
         unknown = set(own) - {f.name for f in dataclasses.fields(cls)}
@@ -95,7 +95,7 @@ class Appearance:
 
 
 def _as_tuples(value: Any) -> Any:
-    """Lists (JSON) to tuples (hashable), all the way down."""
+    """Lists (JSON) to tuples (hashable), recursively."""
     return tuple(_as_tuples(v) for v in value) if isinstance(value, list | tuple) else value
 
 

@@ -1,4 +1,4 @@
-"""One picture of one attempt: what both fingers saw, how the markers moved, what was decided."""
+"""One picture per attempt: both fingers' frames, the markers' motion, and the decision."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,14 +7,14 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-ARROW_SCALE = 3.0  # motions are a few px of a picture: drawn three times longer than they are
+ARROW_SCALE = 3.0  # motions are a few px: drawn three times longer than they are
 Motion = tuple[NDArray[np.floating], NDArray[np.floating]]
-"""Where markers rest and how far they moved, both ([2,] rows, cols, 2) in px: (u, v)."""
+"""Rest positions of markers and their motion, both ([2,] rows, cols, 2) in px: (u, v)."""
 _FINGER_NAMES = ("left finger (+y)", "right finger (-y)")
 
 
 class Decision(TypedDict, total=False):
-    """What the picture says besides the frames; every key may be left out."""
+    """Facts shown besides the frames; every key is optional."""
 
     title: str
     truth: tuple[float, float]  # x_mm, theta_deg
@@ -62,7 +62,7 @@ def save(
     motion: Motion | None = None,
     valid: NDArray[np.bool_] | None = None,
 ) -> Path:
-    """Draw (see :func:`draw`) into a PNG at ``path``; its folder is made."""
+    """Draw (see :func:`draw`) into a PNG at ``path``; its folder is created."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     path = Path(path)
@@ -94,7 +94,7 @@ def imprint(
 
 
 def _differences(figure: Any, frames: NDArray[np.uint8]) -> None:
-    """A row a finger: each frame minus the first, grey is no change."""
+    """One row per finger: each frame minus the first; grey is no change."""
     shown = frames if len(frames) <= 8 else frames[np.linspace(0, len(frames) - 1, 8).round().astype(int)]
     grid = figure.subplots(2, len(shown), squeeze=False)
     for finger in range(2):
@@ -120,7 +120,7 @@ def _facts(axes: Any, decision: Decision) -> None:
 
 
 def _direction(axes: Any, shares: NDArray[np.floating]) -> None:
-    """A grid of three columns (where the object stands) and three rows (how it is turned)."""
+    """A grid of three columns (the object's position) and three rows (its yaw)."""
     axes.imshow(shares, cmap="Greens", vmin=0.0, vmax=1.0, aspect="auto")
     axes.set_xticks(range(3), ("left", "in line", "right"), fontsize=8)
     axes.set_yticks(range(3), ("anticlockwise", "straight", "clockwise"), fontsize=8)
@@ -131,7 +131,7 @@ def _direction(axes: Any, shares: NDArray[np.floating]) -> None:
 
 
 def fact_lines(decision: Decision) -> list[str]:
-    """The numbers of a decision, one a line, with units."""
+    """The numbers of a decision, one per line, with units."""
     lines = []
     if "truth" in decision:
         lines.append(_pair("true error", decision["truth"]))

@@ -1,4 +1,4 @@
-"""The LEDs' light on the gel, and what the camera sees beside the gel."""
+"""The LEDs' light on the gel, and the surroundings of the gel in the picture."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +10,11 @@ Floats = NDArray[np.float32]
 
 
 def illumination(look: Appearance, at: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Light on the gel [3, h, w] (grey levels per unit of albedo) and what surrounds the gel [3, h, w].
+    """Light on the gel [3, h, w] (grey levels per unit of albedo) and the surroundings of the gel [3, h, w].
 
-    ``at`` [h, w, 2]: where each raw pixel lies in the rectified image, gel at rest, px.
-    GelSlim: green from LEDs at the lower corners, an olive-red cast towards the upper left and centre, brightest
-    along the lower edge; beside the gel dark housing, a cable and reflections.
+    ``at`` [h, w, 2]: where each raw pixel lies in the rectified image, gel at rest, px. GelSlim: green from LEDs at the
+    lower corners, an olive-red cast towards the upper left and centre, brightest along the lower edge; beside the gel
+    dark housing, a cable and reflections.
     """
     width, height = look.sensor.width_px, look.sensor.height_px
     u, v, s = at[..., 0] / (width - 1), at[..., 1] / (height - 1), look.light_shift

@@ -23,12 +23,12 @@ Floats = NDArray[np.float32]
 _DENSE = 5  # the marker lattice is refined to a fifth of its pitch before it is sampled
 _COARSE_PX = 5  # raw frames: displacement and shading are evaluated on every fifth pixel, then interpolated
 _INVERSE_ITERATIONS = 6  # X = p - U(X) converges like (slope of U)^n; slopes stay below about 0.3
-_CONTACT_SHARE = 0.08  # of the reference pressure: where the held surface's texture is fully seen
+_CONTACT_SHARE = 0.08  # share of the reference pressure at which the held surface's texture is fully visible
 
 
 @dataclass(frozen=True, slots=True)
 class _Lens:
-    """What depends on the camera alone, once per renderer."""
+    """Quantities that depend only on the camera, computed once per renderer."""
 
     homography: NDArray[np.float64]
     map_to_rest: Floats  # [h, w, 2] where each raw pixel lies in the textures, gel at rest
@@ -37,23 +37,23 @@ class _Lens:
 
 @dataclass(frozen=True, slots=True)
 class _Scene:
-    """A frame before its noise: the light that reaches the sensor from gel in this motion, [3] of [h, w]."""
+    """A frame before its noise: the light that reaches the sensor for this gel motion, [3] of [h, w]."""
 
     gel: Floats
     previous: Floats | None
     planes: tuple[Floats, ...]
 
     def shows(self, gel: Floats, previous: Floats | None) -> bool:
-        """Whether it is that of these gel states."""
+        """Whether the frame belongs to these gel states."""
         if previous is None or self.previous is None:
             return previous is self.previous and np.array_equal(self.gel, gel)
         return np.array_equal(self.gel, gel) and np.array_equal(self.previous, previous)
 
 
 class Renderer:
-    """Draws frames of one finger: about 3 ms a raw frame, 1 ms where the gel did not move; about 15 ms to make.
+    """Draws frames of one finger: about 3 ms per raw frame, 1 ms if the gel did not move; about 15 ms to construct.
 
-    Raw frames are [h, w], rectified ones [H, W], as the appearance's sensor has them.
+    Raw frames are [h, w], rectified ones [H, W], as defined by the appearance's sensor.
     """
 
     def __init__(self, appearance: Appearance) -> None:
@@ -83,20 +83,20 @@ class Renderer:
     def raw(self, gel: NDArray[np.floating], frame_seed: int, previous: NDArray[np.floating] | None = None) -> Image:
         """Uint8 [h, w, 3] BGR frame of ``gel`` [rows, columns, 3]; ValueError if it is not finite or of another shape.
 
-        ``previous``, the gel state one frame earlier, is what motion blur and the rolling shutter see of the motion.
+        Motion blur and the rolling shutter see the motion from ``previous``, the gel state one frame earlier.
         """
         gel = self._checked(gel)
         moves = previous is not None and (self.appearance.motion_blur_share > 0 or self.appearance.rolling_share > 0)
         before = self._checked(previous) if moves and previous is not None else None
         if before is not None and np.array_equal(before[..., :2], gel[..., :2]):
-            before = None  # nothing moved: neither smear nor shutter has anything to show
+            before = None  # nothing moved: no motion blur, no rolling shutter
         last = self._last
         if last is None or not last.shows(gel, before):
             last = self._last = _Scene(gel, before, self._lit(gel, before))
         return self._grained(last.planes, frame_seed)
 
     def _lit(self, gel: Floats, previous: Floats | None) -> tuple[Floats, ...]:
-        """The frame before its noise: light times albedo times shading, a plane a colour."""
+        """The frame before its noise: light times albedo times shading, one plane per colour."""
         look = self.appearance
         shift = self._inverse(_refined(gel[..., :2] * np.float32(1 / (self.sensor.mm_per_px * self._step_px))))
         rest_index = self._lens.coarse_index - shift
@@ -123,7 +123,7 @@ class Renderer:
         return np.asarray(cv2.warpPerspective(raw, self._lens.homography, size, flags=cv2.INTER_LINEAR), np.uint8)
 
     def _inverse(self, motion: Floats) -> Floats:
-        """How far the gel at each coarse raw pixel has come, [h / 5, w / 5, 2], in steps of the refined lattice."""
+        """Displacement of the gel at each coarse raw pixel, [h / 5, w / 5, 2], in steps of the refined lattice."""
         at = self._lens.coarse_index
         shift = np.zeros_like(at)
         for _ in range(_INVERSE_ITERATIONS if motion.any() else 0):
@@ -137,17 +137,17 @@ class Renderer:
         return np.asarray(_remap(_refined(np.stack([height, slope_u, slope_v], -1)), rest_index), np.float32)
 
     def _motion_since(self, gel: Floats, previous: Floats, rest_index: Floats) -> Floats:
-        """Motion from ``previous`` to ``gel`` of what each raw pixel sees, [h, w, 2], rectified px."""
+        """Motion from ``previous`` to ``gel`` at each raw pixel, [h, w, 2], rectified px."""
         change = _refined((gel[..., :2] - previous[..., :2]) * np.float32(1 / self.sensor.mm_per_px))
         return self._to_raw(np.ascontiguousarray(_remap(change, rest_index)[..., :2]))
 
     def _blurred(self, albedo: Floats, where: Floats, smear: Floats) -> Floats:
-        """The albedo seen while the gel moved: the mean of where the exposure began and where it ended."""
+        """The albedo seen while the gel moved: the mean of the positions at the exposure's start and end."""
         earlier = _remap(self._albedo, where + np.float32(self.appearance.motion_blur_share) * smear)
         return np.asarray(cv2.addWeighted(albedo, 0.5, earlier, 0.5, 0), np.float32)
 
     def _bumps(self, relief: Floats, where: Floats, touched: Floats) -> Floats:
-        """The held surface's texture [h, w] as a share of the light."""
+        """The held surface's texture [h, w] as a fraction of the light."""
         bumps = _remap(relief, where)
         bumps *= self._to_raw(touched * np.float32(self.appearance.object_texture_gain))
         return bumps
@@ -155,7 +155,7 @@ class Renderer:
     def _shaded(self, albedo: Floats, bumps: Floats | None, gains: Floats) -> tuple[Floats, ...]:
         """Three planes [h, w]: light times albedo times slope shading."""
         planes = []
-        for channel, sign in enumerate((0.2, -0.8, 1.0)):  # a bump is lit red on one side and shaded green there
+        for channel, sign in enumerate((0.2, -0.8, 1.0)):  # a bump is lit red on one side and shaded green on the other
             level = self._to_raw(gains[channel])
             if bumps is not None:
                 cv2.scaleAdd(bumps, sign, level, dst=level)
@@ -165,7 +165,7 @@ class Renderer:
         return tuple(planes)
 
     def _grained(self, planes: tuple[Floats, ...], frame_seed: int) -> Image:
-        """Uint8 [h, w, 3]: the planes, what is not gel, and the sensor's noise."""
+        """Uint8 [h, w, 3]: the planes, the surroundings of the gel, and the sensor's noise."""
         sigma = self.appearance.noise_sigma_grey
         noise = _noise(frame_seed, *self._shape) if sigma > 0 else None
         channels = []
@@ -206,8 +206,8 @@ def _refined(lattice: Floats) -> Floats:
 
 
 def _remap(source: NDArray[Any], at: Floats) -> NDArray[Any]:
-    """``source`` at positions [h, w, 2], bilinear, its rim continued outside."""
-    # the stubs want a second map, but an empty array in its place is read as one by OpenCV 5's fast paths
+    """``source`` at positions [h, w, 2], bilinear; its rim continues outside."""
+    # the stubs want a second map, but OpenCV 5's fast paths read an empty array in its place as a map
     none: Any = None
     return np.asarray(cv2.remap(source, at, none, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
 
@@ -224,9 +224,9 @@ def _gains(felt: Floats, shading_gain: float) -> tuple[Floats, Floats]:
 
 
 def _rolled(where: Floats, smear: Floats, rolling_share: float) -> Floats:
-    """Where each row was when it was read, [h, w, 2].
+    """The position of each row at its readout, [h, w, 2].
 
-    Rows are read from the top: the first is early by the whole readout time, the last by nothing.
+    Rows are read from the top: the first is early by the whole readout time, the last by none.
     """
     earliness = np.linspace(1, 0, len(where), dtype=np.float32)[:, None, None]
     return np.asarray(where + smear * (rolling_share * earliness), np.float32)
@@ -262,9 +262,9 @@ def _lens(look: Appearance) -> _Lens:
 
 
 def _textures(look: Appearance, rng: np.random.Generator) -> tuple[Floats, Floats | None]:
-    """Float32 [H, W] each, at rest: albedo (1 is plain cloth) and relief of the held surface (-1..1) if it is seen.
+    """Float32 [H, W] each, at rest: albedo (1 is plain cloth) and, if visible, relief of the held surface (-1..1).
 
-    What is off is not computed; its random numbers are drawn all the same, so that what comes after stays as it is.
+    Effects that are off are not computed, but their random numbers are still drawn, so that later draws do not change.
     """
     sensor, kind, period_px = look.sensor, look.object_texture, look.object_texture_period_px
     fabric = tx.cloth(rng, sensor, look.cloth_period_px, look.cloth_contrast, look.worn)

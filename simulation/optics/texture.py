@@ -1,4 +1,4 @@
-"""What is painted on the gel and what falls on it: cloth, dots, the light of the LEDs, the camera's grain.
+"""Textures of the gel and its picture: cloth, dots, the LEDs' light, the camera's noise.
 
 Everything here is made once per appearance; a frame only looks it up. Textures live in rest coordinates of the
 rectified image (1 px of the rectified image = 1 px of the texture) with a margin that stretching can pull in.
@@ -28,10 +28,10 @@ def texture_grid(sensor: Sensor) -> tuple[Floats, Floats]:
 
 
 def dot_cover(rng: np.random.Generator, sensor: Sensor, missing_share: float) -> Floats:
-    """Float32 [H, W] in 0..1: how much each texture pixel is covered by a black dot.
+    """Float32 [H, W] in 0..1: the share of each texture pixel that a black dot covers.
 
-    Dots have a soft rim one pixel wide, small random radii and opacity as if dabbed by hand; ``missing_share`` of
-    them have worn off.
+    Dots have a soft rim one pixel wide, and small random variations of radius and opacity as if dabbed by hand;
+    ``missing_share`` of them have worn off.
     """
     u, v = texture_grid(sensor)
     (first_u, first_v), pitch = sensor.first_marker_px, sensor.marker_pitch_px
@@ -51,14 +51,14 @@ def dot_cover(rng: np.random.Generator, sensor: Sensor, missing_share: float) ->
 
 
 def coarse_noise(rng: np.random.Generator, sensor: Sensor, cell_px: int) -> Floats:
-    """The random numbers of `smooth_noise`, a cell each."""
+    """The random numbers of `smooth_noise`, one per cell."""
     u, v = texture_grid(sensor)
     shape = (v.shape[0] // cell_px + 3, u.shape[1] // cell_px + 3)
     return rng.standard_normal(shape).astype(np.float32)
 
 
 def smoothed(coarse: Floats, sensor: Sensor, cell_px: int) -> Floats:
-    """Float32 [H, W] through `coarse_noise`, a number every ``cell_px`` pixels."""
+    """Float32 [H, W] interpolated from `coarse_noise`, one number every ``cell_px`` pixels."""
     import cv2
 
     u, v = texture_grid(sensor)
@@ -73,7 +73,7 @@ def smooth_noise(rng: np.random.Generator, sensor: Sensor, cell_px: int) -> Floa
 
 
 def worn_spots(coarse: Floats, sensor: Sensor, worn: float) -> Floats:
-    """Float32 [H, W] in 0..1: how far the cloth is worn through."""
+    """Float32 [H, W] in 0..1: wear of the cloth, 1 is worn through."""
     spots: Floats = np.clip(smoothed(coarse, sensor, SPOT_PX) - 1.2, 0, 1) * worn
     return spots
 
@@ -85,7 +85,7 @@ def cloth(rng: np.random.Generator, sensor: Sensor, period_px: float, contrast: 
     warp_yarn = np.sin(2 * np.pi * (u + sway) / period_px)
     weft_yarn = np.sin(2 * np.pi * (v - sway) / period_px)
     weave = warp_yarn * weft_yarn + 0.4 * (warp_yarn + weft_yarn) + 0.5 * smooth_noise(rng, sensor, 3)
-    noise = coarse_noise(rng, sensor, SPOT_PX)  # drawn even where nothing is worn: what is drawn next must not change
+    noise = coarse_noise(rng, sensor, SPOT_PX)  # drawn even where nothing is worn, so that later draws do not change
     if worn <= 0:
         return np.asarray(1 + contrast * weave, np.float32)
     spots = worn_spots(noise, sensor, worn)
@@ -94,7 +94,7 @@ def cloth(rng: np.random.Generator, sensor: Sensor, period_px: float, contrast: 
 
 
 class Bumps(NamedTuple):
-    """What is random in a relief: its grain, where its pattern begins, its blotches."""
+    """Random parts of a relief: its grain, the start of its pattern, its blotches."""
 
     grain: Floats
     phase: float
@@ -102,7 +102,7 @@ class Bumps(NamedTuple):
 
 
 def draw_bumps(rng: np.random.Generator, sensor: Sensor, kind: str, period_px: float) -> Bumps:
-    """The random numbers of `relief`. Raises ValueError for a kind that is none."""
+    """The random numbers of `relief`. Raises ValueError for an unknown kind."""
     if kind not in RELIEFS:
         raise ValueError(f"object texture {kind!r}, expected {', '.join(RELIEFS[:-1])} or {RELIEFS[-1]}")
     grain, phase = coarse_noise(rng, sensor, GRAIN_PX), rng.uniform(0, 2 * np.pi)
@@ -130,7 +130,7 @@ def relief(bumps: Bumps, sensor: Sensor, kind: str, period_px: float) -> Floats:
 def noise_bank(height_px: int, width_px: int) -> Floats:
     """Float32 [2, 3, 3 height, 3 width] of unit normals and their negatives, the same in every process.
 
-    A raw frame of that size adds a random crop. Drawing 400,000 normals a frame would cost more than the rest of the
+    A raw frame of that size adds a random crop. Drawing 400,000 normals per frame would cost more than the rest of the
     renderer; the 1.1 million crops and signs repeat too rarely to be learnt.
     """
     rng = np.random.Generator(np.random.PCG64(20_190_617))

@@ -1,13 +1,14 @@
-"""A gel that ends: face compliance of a bonded block with free sides, by finite elements condensed onto its face.
+"""A gel with free edges: face compliance of a bonded block by finite elements, condensed onto its face.
 
-The block is a box on a rigid back. Its elements are linear along the pad and quadratic through the thickness, their
-change of volume is integrated with one point by one by two, so that rubber up to nu 0.4999 does not lock. Both mirror
-symmetries split the problem in four, and the levels of the mesh are eliminated one after the other from the back, so
-that a geometry takes a second or so once. Displacements are (u, v, into the pad), shear modulus 1 N/mm2.
+The block is a box on a rigid back. Its elements are linear along the pad and quadratic through the thickness; their
+volumetric strain is integrated with one point in-plane and two through the thickness, so that rubber up to nu 0.4999
+does not lock. Both mirror symmetries split the problem in four, and the levels of the mesh are eliminated one by one
+from the back, so that one geometry takes about a second, once. Displacements are (u, v, into the pad), shear modulus 1
+N/mm2.
 
-`symbol` is the same mesh without end, wave by wave: what it lacks against the exact kernel of an endless layer is
-added to the block's answer (`edged_layer`), so that elements as large as a contact cell do for what is local, and a
-gel whose edges are far is the endless one.
+`symbol` is the same mesh without edges, wave by wave. Its deficit against the exact kernel of an endless layer is added
+to the block's compliance (`edged_layer`). Elements as large as a contact cell therefore suffice for local effects, and
+a gel whose edges are far away is the endless layer.
 """
 
 from functools import lru_cache
@@ -28,7 +29,7 @@ GROWTH = 1.5  # of the elements beyond the pad
 
 
 class _Line(NamedTuple):
-    """Integrals of linear elements along an axis: phi phi, the same by one point, phi' phi', phi' phi."""
+    """Integrals of linear elements along an axis: phi phi, the same with one point, phi' phi', phi' phi."""
 
     mass: Array
     reduced: Array
@@ -37,7 +38,7 @@ class _Line(NamedTuple):
 
 
 class _Depth(NamedTuple):
-    """The same of one quadratic element through the thickness, [3, 3], from the back to the face."""
+    """The same for one quadratic element through the thickness, [3, 3], from the back to the face."""
 
     mass: Array
     reduced: Array
@@ -66,7 +67,7 @@ def _assembled(widths: Array) -> _Line:
 
 
 def _halves(count: int) -> tuple[Array, Array]:
-    """Orthonormal bases [count, m] of what is even and of what is odd under a mirror."""
+    """Orthonormal bases [count, m] of the even and of the odd functions under a mirror."""
     identity, turned, middle = np.eye(count), np.eye(count)[::-1], count // 2
     even = ((identity + turned) / np.sqrt(2.0))[:, : count - middle]
     if count % 2:
@@ -128,7 +129,7 @@ def _condensed(element: list[list[Array]]) -> Array:
 
 
 def _widths(cells: int, pitch: float, beyond: float) -> Array:
-    """Elements along an axis: a cell each on the pad, growing ones beyond it on either side."""
+    """Elements along an axis: one per cell on the pad, growing ones beyond it on either side."""
     if beyond <= 1e-9:
         return np.full(cells, pitch)
     count = 1
@@ -149,7 +150,7 @@ def _mean_on_cells(widths: Array, cells: int) -> Array:
 
 
 PARITIES = ((0, 0), (0, 1), (1, 0), (1, 1))
-"""(along u, along v) of the normal displacement; that along an axis has the other parity there."""
+"""Parities (along u, along v) of the normal displacement; the displacement along an axis has the other parity there."""
 
 
 def _of_component(c: int, parity: tuple[int, int]) -> tuple[int, int]:
@@ -162,8 +163,8 @@ def face_compliance(
 ) -> tuple[Array, ...]:
     """Compliance [m, m] in mm3/N for 1 N/mm2 of shear modulus, for each of PARITIES, on even or odd parts of the cells.
 
-    beyond_mm (u, v): how far the block goes on beyond the grid on either side. Components (u, v, into the pad) follow
-    one another, each with its rows of v outside and columns of u inside.
+    beyond_mm (u, v): extent of the block beyond the grid on either side. Components (u, v, into the pad) follow one
+    another, each with its rows of v outside and columns of u inside.
     """
     widths_u, widths_v = (
         _widths(grid.columns, grid.pitch_u_mm, beyond_mm[0]),
@@ -192,7 +193,7 @@ def face_compliance(
 
 
 def symbol(ku: Array, kv: Array, grid: Grid, thickness_mm: float, poisson: float) -> NDArray[np.complex128]:
-    """What the mesh makes of an endless layer, [3, 3, ...] in mm3/N for 1 N/mm2; waves ku, kv in rad/mm."""
+    """The mesh's compliance of an endless layer, [3, 3, ...] in mm3/N for 1 N/mm2; waves ku, kv in rad/mm."""
     depth, lame = _depth(thickness_mm / LEVELS), 2.0 * poisson / (1.0 - 2.0 * poisson)
 
     def line(k: Array, pitch: float) -> tuple[Array, Array, Array, NDArray[np.complex128]]:
@@ -234,7 +235,7 @@ def symbol(ku: Array, kv: Array, grid: Grid, thickness_mm: float, poisson: float
 
 
 class EdgedLayer(Kernel):
-    """Compliance of a bonded layer that ends in free edges, beyond_mm (u, v) beyond the grid on either side."""
+    """Compliance of a bonded layer with free edges, beyond_mm (u, v) beyond the grid on either side."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""From a scene's keys to the numbers that the compiled kernels read."""
+"""From a scene's keys to the constants of the compiled kernels."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ BASE_K = 2000.0  # a block's base corner on the table, N/mm
 
 
 def scene_constants(scene: Scene, active: Active, pad: Pad) -> records.Records:
-    """Constants record [1] of a scene, effects that are off left out."""
+    """Constants record [1] of a scene, without the effects that are off."""
     body, blocks, pads = scene.object, scene.blocks, scene.gel
     area = pad.height_mm * pad.width_mm / (pads.node_rows * pads.node_columns)
     shear = pads.shear_modulus_n_per_mm2 / pads.thickness_mm

@@ -1,9 +1,9 @@
-"""How a gel's surface gives under tractions: influence kernels of an elastic layer, by FFT.
+"""Displacement of a gel's surface under tractions: influence kernels of an elastic layer, by FFT.
 
 A pad's fields are [2, rows, columns, 3] in finger frame: along u, along v, into the pad (pressure positive). A kernel
-answers tractions (N/mm2, constant on each cell) with displacements (mm) at the cells' centres. The layer is bonded to
-a rigid back; its compliance follows wave by wave from Navier's equations (the terms in `bonded_layer` are checked
-against their matrix exponential in the tests, and the solver against Hertz and Mindlin on a half-space).
+maps tractions (N/mm2, constant on each cell) to displacements (mm) at the cells' centres. The layer is bonded to a
+rigid back; its compliance follows wave by wave from Navier's equations. The tests check the terms in `bonded_layer`
+against their matrix exponential, and the solver against Hertz and Mindlin on a half-space.
 """
 
 import math
@@ -16,7 +16,7 @@ from simulation.scene.rubber import reach_in_thicknesses
 
 Array = NDArray[np.float64]
 
-ALIASES = 4  # higher waves that a cell's constant traction holds, on each side; they fall with the cube of their number
+ALIASES = 4  # aliased waves of a cell's constant traction, on each side; they fall with the cube of their number
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ def _turned(
 
 
 def bonded_layer(grid: Grid, thickness_mm: float, shear_modulus_n_per_mm2: float, poisson: float) -> Kernel:
-    """Kernel of a layer bonded to a rigid back, wide enough on all sides for its edges not to matter.
+    """Kernel of a layer bonded to a rigid back, with all edges far enough away not to matter.
 
     Raises:
         ValueError: a Poisson's ratio outside -1..0.5, or a thickness or modulus that is not positive.
@@ -104,7 +104,7 @@ def bonded_layer(grid: Grid, thickness_mm: float, shear_modulus_n_per_mm2: float
             wave_u = ku + 2.0 * np.pi * j / grid.pitch_u_mm + 0.0 * kv
             cell = np.sinc(wave_v * grid.pitch_v_mm / (2.0 * np.pi)) * np.sinc(wave_u * grid.pitch_u_mm / (2.0 * np.pi))
             total += cell * layer_compliance(wave_u, wave_v, thickness_mm, shear_modulus_n_per_mm2, poisson)
-    odd_v, odd_u = shape[0] // 2, shape[1] // 2  # what is odd in a wave number vanishes at its end
+    odd_v, odd_u = shape[0] // 2, shape[1] // 2  # the odd part of a wave number vanishes at its end
     for a, b in ((1, 2), (2, 1), (0, 1), (1, 0)):
         total[a, b, odd_v] = 0.0
     for a, b in ((0, 2), (2, 0), (0, 1), (1, 0)):

@@ -6,14 +6,14 @@ from simulation.scene.scene import Scene
 from simulation.scene.state import PhysicsError
 
 BISECTIONS = 60
-UNEVEN = 0.5  # one pad's force over the other's, from which on the object cannot be where it was taken for
+UNEVEN = 0.5  # ratio of the pads' forces from which the object cannot be at its assumed position
 
 
 def close_fingers(scene: Scene, work: Workspace) -> None:
     """Close to the grip force: bisection on the opening. Raises PhysicsError.
 
-    The object is held still, unless a face lies on one finger and a corner on the other: then the fingers push it to
-    where both bear the same, as far as a pad is thick.
+    The object is held still, unless a face lies on one finger and a corner on the other: then the fingers push it, by
+    at most a pad's thickness, to where both pads bear the same force.
     """
     _close(scene, work, free=False)
     one, other = _grips(work)
@@ -44,7 +44,7 @@ def _close(scene: Scene, work: Workspace, *, free: bool) -> None:
 
 
 def _push_to_the_middle(work: Workspace, reach_mm: float) -> None:
-    """Bisection on where the object is between the fingers: the one that bears more pushes it to the other."""
+    """Bisection on the object's position between the fingers: the finger that bears more pushes it to the other."""
     low, high = -reach_mm, reach_mm
     for _ in range(BISECTIONS):
         work.state["place"][0, 1] = 0.5 * (low + high)

@@ -1,8 +1,8 @@
-"""Inertia of the held object, where a scene calls for it: each load step becomes a step in time.
+"""Inertia of the held object, for scenes that need it: each load step becomes a step in time.
 
-The step's time is its length over the arm's speed. Implicit Euler is the minimum of the quasi-static potential plus
-m / (2 dt^2) |centre - where it would coast to|^2, so the solver stays what it is; it damps, as rubber does. Only the
-centre of mass counts: the objects turn by a few degrees while they slide by millimetres.
+The step's time is its length over the arm's speed. Implicit Euler is the minimum of the quasi-static potential plus m /
+(2 dt^2) |centre - coasting position|^2, so the solver stays unchanged; it damps, as rubber does. Only the centre of
+mass has inertia: the objects turn by a few degrees while they slide by millimetres.
 """
 
 import math
@@ -37,7 +37,7 @@ class Coasting:
         return duration_s(travel, self.speed_mm_s)
 
     def ticks(self, duration_s: float) -> list[float]:
-        """Equal time steps of a wait, as long as a load step takes at speed."""
+        """Equal time steps of a wait, each as long as a load step takes at speed."""
         count = max(1, math.ceil(duration_s * self.speed_mm_s / self.load_step_mm - 1e-9))
         return [duration_s / count] * count
 
@@ -54,7 +54,7 @@ class Coasting:
             constants["inertia"] = 0.0
 
     def arrive(self, centre: Array) -> None:
-        """The step was solved and ended with the object's centre here."""
+        """Record the object's centre at the end of a solved step."""
         if self._dt_s > 0.0:
             self.velocity = (centre - self._from) / self._dt_s
 

@@ -1,11 +1,11 @@
-"""The `layer` tier: pads whose nodes feel each other, solved by the same equilibrium core as the `bristle` tier.
+"""The `layer` tier: pads with coupled nodes, solved by the same equilibrium core as the `bristle` tier.
 
-A layer's surface displacement is u = C t for tractions t (tangential and pressure). Written as a bristle's t / k plus
-a rest, u = t / k + d, it is a bristle pad whose anchors are shifted by d: with d held, the bristle core finds pose,
+A layer's surface displacement is u = C t for tractions t (tangential and pressure). Written as a bristle's t / k plus a
+rest, u = t / k + d, it is a bristle pad whose anchors are shifted by d. With d held, the bristle core finds pose,
 pressures, stick and slip exactly; then d is renewed from C and the tractions until it no longer changes. The fixed
 point is the layer's own contact problem (stick: u follows the object; slip: t is at the limit, along the slide;
-pressure only where surfaces meet), and its forces balance to the core's residual at every iteration. With k below
-twice the layer's smallest stiffness the iteration contracts (Richardson); Anderson's method makes it fast.
+pressure only where surfaces meet), and its forces balance to the core's residual at every iteration. With k below twice
+the layer's smallest stiffness the iteration contracts (Richardson); Anderson's method makes it fast.
 """
 
 import math
@@ -29,7 +29,7 @@ MAX_ROUNDS, DEPTH = 150, 8
 
 
 class Anderson:
-    """Anderson mixing of a fixed-point iteration (Walker and Ni 2011), begun again whenever it loses ground."""
+    """Anderson mixing of a fixed-point iteration (Walker and Ni 2011), restarted whenever the residual grows."""
 
     def __init__(self) -> None:
         self._points: list[Array] = []
@@ -37,7 +37,7 @@ class Anderson:
         self._best = np.inf
 
     def next(self, point: Array, image: Array) -> Array:
-        """The point to try after `image` came out at `point`; both of one shape, any unit."""
+        """The next point to try after `point` gave `image`; both of one shape, any unit."""
         error = (image - point).ravel()
         size = float(np.linalg.norm(error))
         if size > 2.0 * self._best:
@@ -61,17 +61,17 @@ class Relaxation(NamedTuple):
     time_s: float
 
     def crept(self, creep: Array, held: Array, duration_s: float) -> Array:
-        """What has crept after a time at displacements `held`, both mm of one shape. Exact while they are held."""
+        """Creep after a time at displacements `held`, both mm of one shape. Exact while they are held."""
         goal = self.share * held
         return np.asarray(goal + (creep - goal) * math.exp(-duration_s / self.time_s))
 
 
 class LayerPads:
-    """Both pads' anchors and surface: nodes that feel each other, creep, and fingers that bend.
+    """Anchors and surface of both pads: coupled nodes, creep, and fingers that bend.
 
-    Without a kernel nodes stand alone, as in the bristle tier. The displacement of a surface is elastic, plus what has
-    crept (it follows what has changed since the grasp, whose force the gripper keeps up), plus the finger's own
-    deflection along u (total traction over its stiffness). `kernel` may be replaced before the first grasp.
+    Without a kernel nodes are independent, as in the bristle tier. The displacement of a surface is elastic, plus the
+    creep (driven by the change since the grasp, whose force the gripper maintains), plus the finger's own deflection
+    along u (total traction over its stiffness). `kernel` may be replaced before the first grasp.
     """
 
     def __init__(self, scene: Scene, active: Active, kernel: Kernel | None, nodes: Records, constants: Records) -> None:
@@ -84,7 +84,7 @@ class LayerPads:
         self.use(kernel, nodes, constants)
 
     def use(self, kernel: Kernel | None, nodes: Records, constants: Records) -> None:
-        """Take a kernel: its softest wave sets the bristles' stiffness, which only steers the iteration."""
+        """Use a kernel: its softest wave sets the bristles' stiffness, which affects only the iteration."""
         self.kernel, self._nodes, self._area = kernel, nodes, float(constants["area"][0])
         if kernel is not None:
             self._shape = (2, kernel.grid.rows, kernel.grid.columns)
@@ -96,7 +96,7 @@ class LayerPads:
         self._bent = np.zeros(2)  # mm along u
 
     def _softness(self, constants: Records) -> Array:
-        """Of the core's bristles (u, v, normal)."""
+        """Compliance of the core's bristles (u, v, normal), mm3/N."""
         fingers = self._bend * self._area * self._shape[1] * self._shape[2]
         if self.kernel is None:
             self._local = 1.0 / float(constants["kt"][0])
@@ -117,7 +117,7 @@ class LayerPads:
         return np.column_stack([self._side * flat[:, 0], -flat[:, 1]])
 
     def _within(self, surface: Array) -> Array:
-        """A surface as seen from its finger."""
+        """A surface in the frame of its finger."""
         if not self._bend:
             return surface
         return np.asarray(surface - self._bent[:, None, None, None] * (1.0, 0.0, 0.0))
@@ -129,7 +129,7 @@ class LayerPads:
         return np.stack(parts, axis=-1).reshape(*self._shape, 3)
 
     def _answer(self, tractions: Array) -> tuple[Array, Array]:
-        """Where tractions move the surface, and what of it the core's bristles do not know, mm."""
+        """The surface displacement from tractions, and the part of it that the core's bristles do not model, mm."""
         if self.kernel is not None:
             surface = self.kernel(tractions)
         else:
@@ -147,17 +147,17 @@ class LayerPads:
         return surface, rest
 
     def _bend_fingers(self, tractions: Array) -> None:
-        """Each finger gives to the total traction on its pad."""
+        """Deflect each finger by the total traction on its pad."""
         self._bent = self._bend * self._area * tractions[..., 0].sum(axis=(1, 2))
 
     def _place_anchors(self, anchors: Array, before: Array) -> None:
-        """Shift every node's bristle: its stretch so far is the surface's, less the anchor's shift."""
+        """Shift every node's bristle: its stretch so far is the surface's, minus the anchor's shift."""
         nodes, rest = self._nodes, (before - anchors).reshape(-1, 3)
         nodes["crown"] = self._crown + anchors[..., 2].ravel()
         nodes["sx"], nodes["sz"] = self._side * rest[:, 0], -rest[:, 1]
 
     def _settle(self, before: Array, solve: Callable[[], int]) -> int:
-        """Iterate the anchors around `solve` until they rest; gives its status, or STALLED where they do not."""
+        """Iterate the anchors around `solve` until they rest; returns its status, or STALLED if they do not."""
         anchors, mixing, self.unsettled = self._anchors, Anderson(), False
         for _ in range(MAX_ROUNDS):
             self.rounds += 1
@@ -174,9 +174,9 @@ class LayerPads:
         return load_step.STALLED
 
     def _follow(self, solve: Callable[..., int]) -> int:
-        """Let the anchors come after the object round by round, each from where the last one left it.
+        """Let the anchors follow the object round by round, each from where the last round left it.
 
-        For an object that snaps over: begun anew in each round, it snaps back as soon as the anchors come near.
+        For an object that snaps over: restarted in each round, it would snap back as soon as the anchors come near.
         """
         anchors, before = self._anchors, self.surface
         for done in range(MAX_ROUNDS):
@@ -194,7 +194,7 @@ class LayerPads:
         return load_step.STALLED
 
     def close(self, grip: Callable[[], None]) -> bool:
-        """Close the fingers without shear; grip closes bristle pads to the force. False where they do not settle."""
+        """Close the fingers without shear; grip closes bristle pads to the force. False if they do not settle."""
         self._anchors, self._creep = np.zeros_like(self._anchors), np.zeros_like(self._creep)
         self._bent, self._nodes["x"] = np.zeros(2), self._x
 
@@ -208,10 +208,10 @@ class LayerPads:
         return closed
 
     def advance(self, memory: tuple[Records, ...], solve: Callable[..., int], duration_s: float = 0.0) -> int:
-        """One load step; memory: state and slots, put back before each try. Leaves all as it was unless SETTLED.
+        """One load step; memory: state and slots, restored before each try. Leaves everything unchanged unless SETTLED.
 
-        solve: the core's step; with ``arrived`` the hand has made its move already. duration_s: how long the step
-        takes; what crept meanwhile crept before its motion.
+        solve: the core's step; with ``arrived`` the hand has already moved. duration_s: duration of the step; creep
+        during it comes before its motion.
         """
         kept, nodes = [part.copy() for part in memory], self._nodes.copy()
         own = self._anchors, self._creep, self._bent
@@ -243,7 +243,7 @@ class LayerPads:
 
 
 def pads_of(scene: Scene, active: Active, pad: Pad, nodes: Records, constants: Records) -> LayerPads | None:
-    """What a scene needs beyond bristles that stand alone; None where that is nothing."""
+    """Pads with coupling, creep or bending where the scene needs them; None where independent bristles suffice."""
     creeps = active.relaxation and scene.gel.relaxation_share > 0.0
     bends = active.finger_compliance and scene.grasp.finger_stiffness_n_per_mm > 0.0
     if scene.gel.tier == "bristle" and not (creeps or bends):

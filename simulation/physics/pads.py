@@ -1,4 +1,4 @@
-"""The pads of a scene before anything is held: their size, their nodes, how stiff they are, how far the gel goes on."""
+"""The pads of a scene before the grasp: their size, their nodes, their stiffness, and the extent of the gel beyond."""
 
 import math
 from typing import NamedTuple
@@ -15,9 +15,9 @@ from simulation.scene.scene import Scene
 
 
 class Pad(NamedTuple):
-    """What can be touched of a gel, mm: height (along v), width (along u), and how far the gel goes on, (u, v).
+    """The touchable part of a gel, mm: height (along v), width (along u), and the extent of the gel beyond it, (u, v).
 
-    flows: whether its edges or its Poisson's ratio are stated, so that it matters where rubber can flow to.
+    flows: whether its edges or its Poisson's ratio are stated, so that the directions in which rubber can flow matter.
     """
 
     height_mm: float
@@ -28,7 +28,7 @@ class Pad(NamedTuple):
 
 
 def pad_of(scene: Scene, active: Active) -> Pad:
-    """The pad of the sensor's profile, or all of a gel that ends before it. Endless gels go on for ever."""
+    """The pad of the sensor's profile, or all of a gel that ends before it. Endless gels have no edge."""
     height, width = scene.sensor.gel_height_mm, scene.sensor.gel_width_mm
     poisson = poisson_of(scene) if active.poisson else poisson_ratio(max(scene.gel.normal_ratio, 2.0))
     beyond = margin_beyond_mm(scene) if active.gel_edges else None
@@ -39,7 +39,7 @@ def pad_of(scene: Scene, active: Active) -> Pad:
 
 
 def nodes_of(scene: Scene, pad: Pad) -> Records:
-    """The bristles of both pads; where rubber flows to a free edge, those near it are softer."""
+    """The bristles of both pads; near free edges, to which rubber can flow, they are softer."""
     gel = scene.gel
     nodes = bristles.make_nodes(gel.node_rows, gel.node_columns, pad.height_mm, pad.width_mm, gel.crown_mm)
     if gel.tier == "bristle" and pad.flows:

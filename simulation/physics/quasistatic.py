@@ -1,6 +1,6 @@
-"""The simulated bench: a hand that holds the object above the gap, moved by poses, with all its memory.
+"""The simulated bench: a hand that holds the object above the gap, moved by poses, with all its state.
 
-Frames and signs are the work-object frame's; angles at the interface in deg.
+Frames and signs are those of the work-object frame; angles at the interface in deg.
 """
 
 import math
@@ -27,7 +27,7 @@ from simulation.scene.state import CellState, PhysicsError, Reason
 Array = NDArray[np.float64]
 
 LOST_MM, LOST_GRIP, MAX_HALVINGS = 12.0, 0.1, 6
-PAUSE_SHARE, MOST_PAUSES = 0.25, 16  # a wait is solved in steps of this share of the relaxation time, this many at most
+PAUSE_SHARE, MOST_PAUSES = 0.25, 16  # step of a wait as a share of the relaxation time, and the most steps
 EASED = 0.5, 0.02  # shares of a round by which friction limits follow where no shorter step helps
 
 
@@ -47,7 +47,7 @@ class QuasiStaticCell:
         self.constants = scene_constants(scene, self.active, pad)
         self.nodes = nodes_of(scene, pad)
         self.layer = layer_pads.pads_of(scene, self.active, pad, self.nodes, self.constants)
-        self.pace_mm_s = scene.speed_mm_s  # how fast the hand moves, where time matters to the gel
+        self.pace_mm_s = scene.speed_mm_s  # speed of the hand, where time matters to the gel
         self.coasting = coasting_of(scene) if self.active.inertia else None
         vertices = len(self.foot)
         self.base_slot = records.slot_count(vertices)
@@ -63,7 +63,7 @@ class QuasiStaticCell:
         self.regrasp(0.0, 0.0)
 
     def reset_blocks(self) -> None:
-        """Put both blocks back where the scene has them."""
+        """Put both blocks back at the scene's positions."""
         half = 0.5 * self.scene.blocks.gap_mm
         weight = float(self.constants["block_weight"][0])
         sink = weight / (4.0 * BASE_K) if self.active.free_blocks else 0.0
@@ -94,7 +94,7 @@ class QuasiStaticCell:
             text = f"scene {self.scene.name!r}: the pads do not settle while the fingers close"
             raise PhysicsError(text, "pads unsettled")
         self._advance(self.pose)
-        # place the hand so that the object's error is the one asked for
+        # place the hand so that the object has the requested error
         x, theta = self._object_error()
         self.pose[3] += math.radians(theta_deg - theta)
         x, theta = self._object_error()
@@ -103,7 +103,7 @@ class QuasiStaticCell:
         return self.look()
 
     def _work(self) -> records.Workspace:
-        """The kernels' memory; made anew, so that a study may put other nodes in place."""
+        """The kernels' memory; built on each call, so that a study may replace the nodes."""
         return records.Workspace(
             self.constants, self.record, self.trials, self.rows, self.slots, self.nodes, self.foot, self.corner
         )
@@ -112,7 +112,7 @@ class QuasiStaticCell:
         close_fingers(self.scene, self._work())
 
     def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
-        """Move the TCP in a straight line; yaw about +z. Raises PhysicsError where no equilibrium was found."""
+        """Move the TCP in a straight line; yaw about +z. Raises PhysicsError where no equilibrium is found."""
         target = np.array([x_mm, y_mm, z_mm, math.radians(yaw_deg)])
         if not np.all(np.isfinite(target)):
             raise ValueError(f"move_to: expected finite numbers, got {target.tolist()}")
@@ -125,7 +125,7 @@ class QuasiStaticCell:
             self.pose = start + reach * (target - start)
             if self.relaxes:
                 if self.coasting is not None:
-                    self.coasting.velocity[:] = 0.0  # against the hand, which has carried it here
+                    self.coasting.velocity[:] = 0.0  # relative to the hand, which has carried it here
                 self._advance(self.pose, duration_s(self.pose - start, self.pace_mm_s))
             if self.coasting is not None:
                 self.coasting.ride(target[:3] - start[:3])
@@ -141,7 +141,7 @@ class QuasiStaticCell:
         return self.look()
 
     def wait(self, time_s: float) -> CellState:
-        """Stand still: inertia swings on, gels creep; nothing else changes. Raises PhysicsError as `move_to` does."""
+        """Stand still: inertia oscillates, gels creep; nothing else changes. Raises PhysicsError as `move_to` does."""
         if self.grasp_lost or time_s <= 0.0:
             return self.look()
         ticks = self.coasting.ticks(time_s) if self.coasting is not None else []
@@ -186,7 +186,7 @@ class QuasiStaticCell:
         return self.layer.advance((self.record, self.slots), partial(self._solve, target, blend), dt_s)
 
     def _pass(self, target: Array, dt_s: float | None, blend: float = 1.0) -> int:
-        """One load step as it is, not divided; blend below 1: damp the friction limits where they jump."""
+        """One undivided load step; blend below 1: damp the friction limits where they jump."""
         if self.coasting is None:
             return self._step(target, dt_s, blend)
         dt_s = self.coasting.duration_s(target - self.pose) if dt_s is None else dt_s
@@ -194,11 +194,11 @@ class QuasiStaticCell:
         return self.coasting.step(*world, partial(self._step, target, dt_s, blend))
 
     def _advance(self, target: Array, dt_s: float | None = None) -> None:
-        """One load step, divided where it must be. Raises PhysicsError."""
+        """One load step, divided as necessary. Raises PhysicsError."""
         try:
             self._divide(target, 0, dt_s, rescue=False)
         except PhysicsError:
-            # the object may have nowhere to go but far: leap over what no short step passes, or else crawl through it
+            # the only equilibrium may be far away: leap over what no short step passes, or else crawl through it
             for blend in EASED:
                 status = self._pass(target, dt_s, blend)
                 if status != load_step.STALLED:
@@ -227,7 +227,7 @@ class QuasiStaticCell:
         self._arrive(target, status)
 
     def _arrive(self, target: Array, status: int) -> None:
-        """A load step ended at its target, solved or with the object lost."""
+        """Finish a load step at its target, solved or with the object lost."""
         self.pose = target
         if self.coasting is not None:
             self.coasting.arrive(self._centre())
@@ -236,11 +236,11 @@ class QuasiStaticCell:
             self.grasp_lost = True
 
     def _drops(self) -> bool:
-        """Whether the object weighs more than friction between the pads can carry."""
+        """Whether the object's weight exceeds the friction between the pads."""
         return bool(self.constants["weight"][0] > self.constants["friction"][0] * self._grips().sum())
 
     def _why(self) -> Reason:
-        """What kept the last load step from an equilibrium."""
+        """The reason why the last load step has no equilibrium."""
         if self.layer is not None and self.layer.unsettled:
             return "pads unsettled"
         return "friction unsettled" if self.state["report"][0] <= 1e-3 else "forces unbalanced"

@@ -1,7 +1,7 @@
-"""From bristles to what a camera could see: displacement and pressure of each gel at the marker rest positions.
+"""From bristles to the camera's view: displacement and pressure of each gel at the marker rest positions.
 
-A pad's rubber couples neighbours over about half its thickness, and being incompressible it bulges away from pressure;
-the bristles know neither, so the readout adds both (`gel_coupling`). It changes no force.
+A pad's rubber couples neighbours over about half its thickness and, being incompressible, bulges away from pressure.
+The bristles model neither, so the readout adds both (`gel_coupling`). It changes no force.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ def _blend(targets: Array, nodes: Array, sigma_mm: float) -> Array:
         return np.asarray(linear)
     if sigma_mm > 0.0:
         linear = np.exp(-0.5 * (distance / max(sigma_mm, 0.5 * pitch)) ** 2)
-        # beyond the pad the gel is at rest, so the kernel's full mass is the norm, not what falls on the pad
+        # beyond the pad the gel is at rest, so normalise by the kernel's full mass, not by its part on the pad
         return np.asarray(linear / (np.sqrt(2.0 * np.pi) * max(sigma_mm, 0.5 * pitch) / pitch))
     return np.asarray(linear / np.sum(linear, axis=1, keepdims=True))
 
@@ -56,7 +56,7 @@ class Readout:
         self._nearest = np.ix_(np.arange(2), _nearest(v, node_v), _nearest(u, node_u))
 
     def at_markers(self, values: Array) -> Array:
-        """Values [n] at the nodes, taken from the node next to each marker: [2, rows, columns]."""
+        """Values [n] at the nodes, taken from the node nearest each marker: [2, rows, columns]."""
         return values.reshape(2, self.rows, self.columns)[self._nearest]
 
     def __call__(self, stretch: Array, pressure: Array) -> NDArray[np.float32]:
@@ -77,7 +77,7 @@ class Readout:
         return out
 
     def _bulged(self, field: Array) -> tuple[Array, Array]:
-        """How far a pad's pressure [rows, columns] drives the markers up its slope, mm along u and v."""
+        """Displacement of the markers up the slope of a pad's pressure [rows, columns], mm along u and v."""
         soft = self.along_v @ field @ self.along_u.T
         slope_v, slope_u = np.gradient(soft, self.pitch)
         return np.asarray(self.bulge * slope_u), np.asarray(self.bulge * slope_v)

@@ -1,4 +1,4 @@
-"""What the outside sees of the physics' poses."""
+"""External view of the physics' poses."""
 
 import math
 from typing import Any
@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 
 def block_motion(state: Any, half_gap_mm: float) -> Array:
-    """How both blocks have moved, [2, 4]: dx, dy mm, yaw and tilt deg."""
+    """Motion of both blocks, [2, 4]: dx, dy mm, yaw and tilt deg."""
     out = np.zeros((2, 4))
     for b, sign in enumerate((1.0, -1.0)):
         turn = state["block_turn"][b] * np.array([sign, sign, 1.0])

@@ -1,7 +1,7 @@
-"""Worlds and objects that nobody trained for, drawn over what cells are.
+"""Worlds and objects outside the training set, drawn over the range of real cells.
 
-Worlds come from a Latin hypercube: over `count` of them every quantity is spread evenly over its range. The ranges
-are those that collection draws from (`docs/worlds.md`), and they are frozen: nobody changes them to please a network.
+Worlds come from a Latin hypercube: over `count` of them every quantity is spread evenly over its range. The ranges are
+those that collection draws from (`docs/worlds.md`), and they are frozen: do not change them to suit a network.
 """
 
 import json
@@ -22,12 +22,12 @@ from simulation.scene.worlds import Start, World, fill, world_of
 Tables = dict[str, dict[str, Any]]
 Map = Callable[[float], Any]
 
-REACH_PITCHES = (0.15, 3.0)  # shear reach of a pad that is touched all over
+REACH_PITCHES = (0.15, 3.0)  # shear reach of a fully touched pad
 SPEED_MM_S = (3.0, 40.0)
-BLIND_MM = 3.0  # what the arm goes before a stop takes effect, in a cell that is run with care
-HELD_MM = 8.0  # an object that a soft pad touches on less is no part to be held
+BLIND_MM = 3.0  # travel of the arm before a stop takes effect, in a cell that is run with care
+HELD_MM = 8.0  # an object that a soft pad touches on less cannot be held
 HELD_OFF_MM = 4.0  # from the middle of a pad of 21 mm
-PAD_MM2, PITCH_MM = 463.05, 1.05  # of the sensor that worlds are drawn for
+PAD_MM2, PITCH_MM = 463.05, 1.05  # of the sensor for which worlds are drawn
 MU, FORCE_N, THICKNESS_MM = (0.45, 1.0), (10.0, 40.0), (1.5, 4.0)
 
 
@@ -40,7 +40,7 @@ def _log(low: float, high: float) -> Map:
 
 
 def _above(share: float, low: float, high: float) -> Map:
-    """0 in a share of the draws; the rest by factors from low to high."""
+    """0 in a share of the draws; the rest log-uniform from low to high."""
     rest = _log(low, high)
     return lambda u: 0.0 if u < share else rest((u - share) / (1.0 - share))
 
@@ -89,7 +89,7 @@ MIXED = ("reach", "friction", "force", "thickness", "speed")
 def draw_worlds(count: int, seed: int, within: Mapping[str, tuple[float, float]] | None = None) -> list[Tables]:
     """``count`` worlds as tables of a world file, the same for the same arguments. Raises ValueError.
 
-    within: a part of the whole range, in shares 0..1 of it, for quantities that are not to be drawn from all of it.
+    within: sub-ranges, in shares 0..1 of the full range, for quantities to restrict.
     """
     if count < 1:
         raise ValueError(f"--count {count}: expected at least 1")
@@ -100,7 +100,7 @@ def draw_worlds(count: int, seed: int, within: Mapping[str, tuple[float, float]]
 
 
 def draw_world(rng: np.random.Generator) -> Tables:
-    """One world by itself, every quantity for its own."""
+    """One world, every quantity drawn independently."""
     return _world({name: float(rng.random()) for name in (*MIXED, *QUANTITIES)})
 
 
@@ -120,7 +120,7 @@ def _world(u: Mapping[str, float]) -> Tables:
 
 
 def fastest_mm_s(fps: float, late_s: float) -> float:
-    """How fast a cell is run: `BLIND_MM` until a stop takes effect, and within the client's motion lease.
+    """Speed of a cell: `BLIND_MM` until a stop takes effect, and within the client's motion lease.
 
     The lease is 1.5 mm, or 0.1 s where that is further; one and a half frames and 60 ms of it are used up.
     """
@@ -129,7 +129,7 @@ def fastest_mm_s(fps: float, late_s: float) -> float:
 
 
 def gel_of_reach(reach: float, friction: float, force: float, thickness: float) -> dict[str, float]:
-    """Gel and grip from shares 0..1: the shear reach is drawn by factors; friction, grip and thickness half go with it.
+    """Gel and grip from shares 0..1: the shear reach is log-uniform; friction, grip and thickness half follow it.
 
     The shear modulus follows: mu p t / (reach times pitch), see `rubber.shear_reach_pitches`.
     """
@@ -165,14 +165,14 @@ def draw_object(rng: np.random.Generator) -> Tables:
         try:
             held_mm = touched_width_mm(scene_of_tables(tables, "drawn"))
         except SceneError:
-            continue  # its corners cannot be as round as drawn
+            continue  # its corners cannot be rounded as drawn
         if held_mm >= HELD_MM:
             return tables
 
 
 def _object(rng: np.random.Generator) -> Tables:
     x_mm = round(float(rng.uniform(30.0, 130.0)), 1)
-    y_mm = round(float(rng.uniform(30.0, 110.0)), 1)  # the gripper opens no wider
+    y_mm = round(float(rng.uniform(30.0, 110.0)), 1)  # the gripper's largest opening
     radius_mm = round(float(rng.choice([0.0, rng.uniform(0.0, 0.25)]) * min(x_mm, y_mm)), 1)
     shape = str(rng.choice(["rectangle", "ellipse", "hexagon", "polygon"]))
     body: dict[str, Any] = {"shape": shape}
@@ -192,7 +192,7 @@ def _object(rng: np.random.Generator) -> Tables:
 def _polygon(rng: np.random.Generator, x_mm: float, y_mm: float) -> list[list[float]]:
     """Corners of a convex polygon on an ellipse of these sizes, 4 to 9 of them.
 
-    It lies as a parallel gripper takes it: its least width along y, and no finger touches it far from its middle.
+    It is oriented for a parallel gripper: least width along y, and each finger touches it near its middle.
     """
     while not _held_in_the_middle(corners := _drawn_corners(rng, x_mm, y_mm)):
         pass
@@ -215,14 +215,14 @@ def _laid_on_its_edges(corners: NDArray[np.float64]) -> Iterator[NDArray[np.floa
 
 
 def _held_in_the_middle(corners: NDArray[np.float64]) -> bool:
-    """Whether both fingers touch a polygon near their middle; it turns away between them elsewhere."""
+    """Whether both fingers touch a polygon near their middle; elsewhere it would turn between them."""
     x_mm, y_mm = corners.T
     sides = x_mm[y_mm > y_mm.max() - 0.1], x_mm[y_mm < y_mm.min() + 0.1]
     return all(side.min() - HELD_OFF_MM < 0.0 < side.max() + HELD_OFF_MM for side in sides)
 
 
 def scene_of_tables(tables: Tables, name: str) -> Scene:
-    """The scene of an object file's tables, in a world as trained. Raises SceneError."""
+    """The scene of an object file's tables, in the training world. Raises SceneError."""
     data: dict[str, Any] = {"name": name, **tables}
     if "start" in data:
         data |= Start.model_validate(data.pop("start")).model_dump(exclude_unset=True)
@@ -236,7 +236,7 @@ def world(tables: Tables, name: str) -> World:
 
 
 def toml(tables: Tables, comment: str) -> str:
-    """The file that holds these tables."""
+    """A TOML file with these tables."""
     lines = [f"# {comment}"]
     for table, values in tables.items():
         lines += ["", f"[{table}]", *(f"{key} = {json.dumps(value)}" for key, value in values.items())]

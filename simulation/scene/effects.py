@@ -1,4 +1,4 @@
-"""Which effects a scene calls for.
+"""Which physical effects a scene needs.
 
 Each is declared once, with the predicate that switches it on and the reason it gives.
 """
@@ -35,7 +35,7 @@ class Active(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """One effect: its key in `scene.effects`, what it is, and needed(scene) -> (whether, why)."""
+    """One effect: its key in `scene.effects`, its description, and needed(scene) -> (whether, why)."""
 
     key: str
     what: str
@@ -43,7 +43,7 @@ class Effect:
 
 
 def _above(key: str, limit: float) -> Callable[[Scene], tuple[bool, str]]:
-    """Needed where a number of the scene is above a limit."""
+    """Needed where a number of the scene exceeds a limit."""
     value_of = attrgetter(key)
     return lambda scene: (value_of(scene) > limit, f"{key} is {value_of(scene):g} (limit {limit:g})")
 
@@ -54,7 +54,7 @@ def _gravity(scene: Scene) -> tuple[bool, str]:
 
 
 def inertia_share(scene: Scene) -> float:
-    """Force of a sudden stop, v sqrt(m k), over what the grip can carry."""
+    """Force of a sudden stop, v sqrt(m k), over the grip's capacity."""
     gel, sensor = scene.gel, scene.sensor
     area = sensor.gel_height_mm * sensor.gel_width_mm
     stiffness_n_per_m = 2.0 * gel.shear_modulus_n_per_mm2 / gel.thickness_mm * area * 1e3

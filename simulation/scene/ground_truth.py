@@ -1,8 +1,8 @@
-"""Whether an object is inserted: the one definition that every table, report and live cell uses.
+"""Whether an object is inserted: the single definition used by every table, report and live cell.
 
-An object counts as inserted when all of its bottom face is deep enough below the block tops, when it lies in its gap
-as an object of its size can, stands upright, is still in the grasp, and has not made its own room by pushing a block.
-A lowest corner that is deep enough proves nothing: a box jammed at 42 degrees has one.
+An object counts as inserted when all of its bottom face is deep enough below the block tops, and it lies in its gap as
+an object of its size can, stands upright, is still in the grasp, and has not made room by pushing a block. A lowest
+corner that is deep enough proves nothing: a box jammed at 42 degrees has one.
 """
 
 from typing import NamedTuple
@@ -15,12 +15,12 @@ from simulation.scene.parts import Blocks
 Array = NDArray[np.float64]
 
 TILT_DEG = 2.0
-BLOCK_MM = 1.0  # how far a block may have been moved
-OVERLAP_MM = 0.15  # how far a wall may be pressed in: 120 N on the scenes' 1000 N/mm, rounded up
+BLOCK_MM = 1.0  # largest allowed displacement of a block
+OVERLAP_MM = 0.15  # largest allowed penetration of a wall: 120 N on the scenes' 1000 N/mm, rounded up
 
 
 class Pose(NamedTuple):
-    """Where the held object is, in the work-object frame.
+    """Pose of the held object in the work-object frame.
 
     turn [3, 3]: its axes. bottom [3], mm: the centre of its bottom face. footprint [v, 2], mm: that face's outline in
     the object's frame.
@@ -37,10 +37,10 @@ class Pose(NamedTuple):
 
 
 def reasons_against(pose: Pose, block_motion: Array, blocks: Blocks, *, grasp_lost: bool) -> list[str]:
-    """Why the object does not count as inserted, one sentence each; none if it is inserted.
+    """Why the object does not count as inserted, one sentence each; empty if it is inserted.
 
-    block_motion [2, 4]: dx, dy mm, yaw, tilt deg of each block. blocks: as the scene has them. Numbers that are not
-    finite are reasons, too.
+    block_motion [2, 4]: dx, dy mm, yaw, tilt deg of each block. blocks: as in the scene. Non-finite numbers are
+    reasons, too.
     """
     outline, depth_mm, half_gap_mm = pose.outline, blocks.insertion_depth_mm, 0.5 * blocks.gap_mm
     highest, across = float(outline[:, 2].max()), float(np.abs(outline[:, 0]).max())

@@ -1,4 +1,4 @@
-"""The tables of a scene: the object, the blocks, the gel, the grasp, the cameras, and what is computed how."""
+"""The tables of a scene: the object, the blocks, the gel, the grasp, the cameras, numerics and effects."""
 
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,7 +15,7 @@ Margin = Annotated[float, Field(ge=0.0, le=1000.0)]
 
 
 class Part(BaseModel):
-    """Base of all parts of a scene: frozen, and an unknown key is an error."""
+    """Base of all parts of a scene: frozen; unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -23,9 +23,8 @@ class Part(BaseModel):
 class HeldObject(Part):
     """The object: footprint at its flat bottom, section where it is held (the same unless given), weight.
 
-    A polygon states its convex bottom by vertices_mm, counter-clockwise; its sizes are what they and corner_radius_mm
-    make them.
-    The texture's period and gain (contrast of its relief, 0..1) follow from its name unless given.
+    A polygon states its convex bottom by vertices_mm, counter-clockwise; its sizes follow from them and
+    corner_radius_mm. The texture's period and gain (contrast of its relief, 0..1) follow from its name unless given.
     """
 
     shape: shapes.Outline
@@ -53,7 +52,7 @@ class HeldObject(Part):
             try:
                 x, y = np.ptp(shapes.rounded(data["vertices_mm"], float(radius_mm)), axis=0)
             except (ValueError, TypeError, IndexError):
-                break  # the field itself says what is wrong
+                break  # the field's own validation names the error
         if not x:
             return data
         return data | {"size_x_mm": float(x), "size_y_mm": float(y)}
@@ -78,13 +77,13 @@ class HeldObject(Part):
 
     @property
     def held_faces(self) -> NDArray[np.float64] | None:
-        """Held sides of a polygon as in `shapes.faces`; None where `held_profile` says it all."""
+        """Held sides of a polygon as in `shapes.faces`; None where `held_profile` describes it completely."""
         section = self._held_polygon
         return None if section is None else shapes.faces(section)
 
     @property
     def _held_polygon(self) -> NDArray[np.float64] | None:
-        """The held section [n, 2], mm, where it is given by its edges."""
+        """The held section [n, 2], mm, where edges define it."""
         if self.held_shape is not None:
             width_mm = self.held_size_x_mm or self.size_x_mm
             return shapes.held_polygon(self.held_shape, width_mm, self.held_corner_radius_mm)
@@ -94,9 +93,9 @@ class HeldObject(Part):
 
 
 class Blocks(Part):
-    """The two blocks that leave the gap. `free` lets them slide on the table and tip.
+    """The two blocks that form the gap. `free` lets them slide on the table and tip.
 
-    ``insertion_depth_mm``: how deep all of an object's bottom face must be below their tops to count as inserted.
+    ``insertion_depth_mm``: depth of an object's whole bottom face below their tops at which it counts as inserted.
     """
 
     gap_mm: float = Field(gt=5.0, le=250.0)
@@ -114,10 +113,10 @@ class Blocks(Part):
 class Gel(Part):
     """The two gel pads.
 
-    A bristle's stiffness per area is G / thickness along the pad, normal_ratio times that into it. ``poisson_ratio``
-    takes the place of normal_ratio where it is given. ``margin_mm`` (x along the gap's width, z up): how far the gel
-    goes on beyond the outermost markers before it ends in a free edge; endless unless given. ``relaxation_share`` of
-    the stiffness, which is that of a quick motion, is lost by exp(-t / relaxation_s) while a shape is held.
+    A bristle's stiffness per area is G / thickness along the pad, and normal_ratio times that into it.
+    ``poisson_ratio`` replaces normal_ratio where given. ``margin_mm`` (x along the gap's width, z up): extent of the
+    gel beyond the outermost markers, where it ends in a free edge; endless unless given. ``relaxation_share`` of the
+    stiffness, which is that of a quick motion, decays by exp(-t / relaxation_s) while a shape is held.
     """
 
     tier: Literal["bristle", "layer"] = "bristle"
@@ -138,7 +137,7 @@ class Gel(Part):
 class Grasp(Part):
     """How the object is held. Spreads are standard deviations over re-fixtures.
 
-    ``finger_stiffness_n_per_mm``: of each finger against a force across the gap, at its pad; 0: rigid.
+    ``finger_stiffness_n_per_mm``: stiffness of each finger against a force across the gap, at its pad; 0: rigid.
     """
 
     force_n: float = Field(default=20.0, ge=0.5, le=120.0)
@@ -150,10 +149,10 @@ class Grasp(Part):
 
 
 class Camera(Part):
-    """The finger cameras: the sensor's profile, and how they are run. ``fps`` is the sensor's own unless given.
+    """The finger cameras: the sensor's profile and operating conditions. ``fps`` is the sensor's own unless given.
 
-    ``sensor`` is a name or a TOML file; keys of it below a scene's `[camera.sensor]` replace those of the default one.
-    ``latency_ms``: how long a frame takes to arrive; it is stamped then, and not when it was exposed.
+    ``sensor`` is a name or a TOML file; keys below a scene's `[camera.sensor]` override those of the default sensor.
+    ``latency_ms``: delay until a frame arrives; it is stamped on arrival, not on exposure.
     """
 
     sensor: Sensor = Field(default_factory=Sensor.load)

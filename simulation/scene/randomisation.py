@@ -1,4 +1,4 @@
-"""Domain randomisation: what an installation meets that no scene file can know."""
+"""Domain randomisation: variations of an installation that no scene file can know."""
 
 import math
 from typing import Any
@@ -11,12 +11,12 @@ MODULUS = "gel.shear_modulus_n_per_mm2"
 
 
 def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False) -> Scene:
-    """A domain-randomised copy: what an installation meets that no scene file can know.
+    """A domain-randomised copy of a scene.
 
-    How high above its bottom the object is held, its weight, grip and clearance are drawn from all that the cell
-    can do. Sizes, frictions, stiffness, crown, grip, noise and light of held-out draws come from ranges that no
-    training draw can reach. Where a scene states its own stiffness, friction, crown, grip or height, that is the middle
-    of a range as wide in proportion. What is scaled past the limits of a scene stays at the limit.
+    Grasp height above the object's bottom, weight, grip and clearance are drawn from the cell's full range. Sizes,
+    frictions, stiffness, crown, grip, noise and light of held-out draws come from ranges that no training draw reaches.
+    Where a scene states its own stiffness, friction, crown, grip or height, it becomes the middle of a range of the
+    same relative width. Values scaled past the limits of a scene are clamped to the limit.
     """
 
     def draw(low: float, high: float, margin: float) -> float:
@@ -52,12 +52,12 @@ def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False
         scales = size_x / body.size_x_mm, size_y / body.size_y_mm
         changes["object.vertices_mm"] = [(x * scales[0], y * scales[1]) for x, y in body.vertices_mm]
     if body.shape == "hexagon" or (body.shape == "ellipse" and body.size_x_mm == body.size_y_mm):
-        changes["object.size_y_mm"] = size_x  # what is regular or round stays so
+        changes["object.size_y_mm"] = size_x  # regular and round objects stay so
     return scene.varied(changes)
 
 
 def _around(scene: Scene, key: str, value: float, middle: float) -> float:
-    """A drawn value, moved to the scene's own one where it has one."""
+    """A drawn value, shifted to the scene's own value where it has one."""
     part, name = key.split(".")
     table = getattr(scene, part)
     own, field = getattr(table, name), type(table).model_fields[name]

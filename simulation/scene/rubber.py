@@ -9,7 +9,7 @@ from simulation.scene.scene import Scene
 
 
 def poisson_ratio(normal_ratio: float) -> float:
-    """The ratio that makes a thin bonded layer normal_ratio times as stiff along its normal as in shear.
+    """Poisson's ratio at which a thin bonded layer is normal_ratio times as stiff along its normal as in shear.
 
     Oedometric over shear modulus is 2 (1 - nu) / (1 - 2 nu).
     """
@@ -17,7 +17,7 @@ def poisson_ratio(normal_ratio: float) -> float:
 
 
 def poisson_of(scene: Scene) -> float:
-    """What a scene states, by itself or as a ratio of stiffnesses."""
+    """A scene's Poisson's ratio, stated directly or as a ratio of stiffnesses."""
     given = scene.gel.poisson_ratio
     return poisson_ratio(scene.gel.normal_ratio) if given is None else given
 
@@ -28,10 +28,10 @@ def normal_ratio(poisson: float) -> float:
 
 
 def flow_length(poisson: float) -> float:
-    """How far pressure in a bonded layer drives rubber along it, in thicknesses: sqrt((M - E) / (12 G)).
+    """Distance over which pressure in a bonded layer drives rubber along it, in thicknesses: sqrt((M - E) / (12 G)).
 
     Pressure of a compressed layer obeys (M - E) t^2 / (12 G) lap(p) = p - (M - E) strain (Gent and Meinecke 1970 for
-    rubber that keeps its volume, Lindley 1979 for K in place of M - E, which it is towards 0.5).
+    incompressible rubber, Lindley 1979 with K in place of M - E, to which it tends towards 0.5).
     """
     return math.sqrt((normal_ratio(poisson) - 2.0 * (1.0 + poisson)) / 12.0) if poisson < 0.5 else math.inf
 
@@ -42,7 +42,7 @@ def reach_in_thicknesses(poisson: float) -> float:
 
 
 def margin_beyond_mm(scene: Scene) -> tuple[float, float] | None:
-    """How far the gel goes on beyond the pad that its profile states, (u, v), negative where it ends before; or None.
+    """Extent of the gel beyond the pad that its profile states, (u, v), negative where it ends before; or None.
 
     None: no margin is stated, the gel counts as endless.
     """
@@ -55,11 +55,11 @@ def margin_beyond_mm(scene: Scene) -> tuple[float, float] | None:
 
 
 def shear_reach_pitches(scene: Scene) -> float:
-    """How far the gel can be sheared before it slides, in marker pitches: mu p t / G over the pitch.
+    """Shear of the gel at which it slides, in marker pitches: mu p t / G over the pitch.
 
-    The pressure p is the grip over the part of the pad that the held surface touches flat: its width between the
-    fingers, at most the pad's, times the pad's height. Where that surface is curved or slanted the pad wraps around it
-    as far as it is pressed in on the mean: half a thickness of the gel counts as flat.
+    The pressure p is the grip over the area that the held surface touches flat: its width between the fingers, at most
+    the pad's, times the pad's height. Where that surface is curved or slanted, the pad wraps around it up to its mean
+    indentation: half a thickness of the gel counts as flat.
     """
     gel, sensor = scene.gel, scene.sensor
     area_mm2 = touched_width_mm(scene) * sensor.gel_height_mm
@@ -81,7 +81,7 @@ def touched_width_mm(scene: Scene) -> float:
 
 
 def _reach_of_faces(lines: NDArray[np.float64], level_mm: float) -> float:
-    """Width of a side, given by lines (height at 0, slope) of which the lowest counts, above a level."""
+    """Width above a level of a side given by lines (height at 0, slope), the lowest of which counts."""
     x = np.linspace(-40.0, 40.0, 801)
     heights = lines[:, 0] + np.multiply.outer(x, lines[:, 1])
     return float((heights.min(axis=1) > level_mm).sum() * 0.1)

@@ -1,7 +1,7 @@
-"""Scene: a world with an object in it, everything about one simulated cell that is not motion.
+"""Scene: a world with an object in it, everything about one simulated cell except motion.
 
-`simulation.scene.worlds` reads it from files. Units are in the names. Frames: see `shapes` (object) and the
-work-object frame (origin at the gap's centre at the height of the block tops, x across the gap, y along it, z up).
+`simulation.scene.worlds` reads it from files. Units are in the names. Frames: see `shapes` (object) and the work-object
+frame (origin at the gap's centre at the height of the block tops, x across the gap, y along it, z up).
 """
 
 import zlib
@@ -15,13 +15,13 @@ from service.contract.refusals import describe
 from simulation.scene import shapes
 from simulation.scene.parts import Blocks, Camera, Effects, Figures, Gel, Grasp, HeldObject, Numerics, Part
 
-APPROACH_MM = 5.0  # how high above the block tops a descent starts
+APPROACH_MM = 5.0  # start of a descent above the block tops
 OF_NO_CELL: dict[str, Any] = {"training": True, "order": True, "paper": True, "camera": {"sensor": {"name"}}}
-"""What a scene says that changes nothing of its cell."""
+"""Keys of a scene that do not affect its cell."""
 
 
 class SceneError(ValueError):
-    """A scene that cannot be read or cannot exist; the text names the key and what is allowed."""
+    """A scene that cannot be read or cannot exist; the text names the key and its allowed values."""
 
 
 class Scene(Part):
@@ -124,12 +124,12 @@ class Scene(Part):
         return self.camera.fps or self.sensor.fps
 
     def identity_json(self) -> str:
-        """Everything about the cell, as one line of JSON: what data sets know it by."""
+        """Everything about the cell, as one line of JSON: its identity in data sets."""
         return self.model_dump_json(exclude=OF_NO_CELL)
 
     @property
     def number(self) -> int:
-        """What the seeds of this object's draws start from: its order or, without one, a number of its contents."""
+        """Base of the seeds of this object's draws: its order or, without one, a number from its contents."""
         return zlib.crc32(self.identity_json().encode()) if self.order is None else self.order
 
     def fits(self, x_mm: float, theta_deg: float) -> bool:

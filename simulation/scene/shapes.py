@@ -19,8 +19,8 @@ Vertices = Sequence[tuple[float, float]] | Array
 
 MOST_EDGES = 64  # of a polygon with its corners rounded
 MAX_FACES = MOST_EDGES + 2  # of one held side of a polygon: its edges and a wall at either end
-WALL_SLOPE = 5.0  # what is upright would have no slope
-GRIP_HALF_MM = 10.0  # about half of a gel's width: what the fingers centre
+WALL_SLOPE = 5.0  # an upright wall would have infinite slope
+GRIP_HALF_MM = 10.0  # about half of a gel's width: the part by which the fingers centre an object
 FAR_MM = 1e6
 CURVE_POINTS = 120  # a 120-gon errs by 0.009 mm on a 51 mm circle, far under any clearance
 
@@ -63,7 +63,7 @@ def _hexagon(size_x_mm: float) -> Array:
 
 
 def held_polygon(shape: Outline, size_x_mm: float, corner_radius_mm: float) -> Array | None:
-    """The section between the fingers [n, 2], mm, where only its edges say what is held: a hexagon's with radii."""
+    """The section between the fingers [n, 2], mm, for shapes whose edges alone define it: a hexagon with radii."""
     return rounded(_hexagon(size_x_mm), corner_radius_mm) if shape == "hexagon" and corner_radius_mm > 0.0 else None
 
 
@@ -82,7 +82,7 @@ def rounded(vertices: Vertices, radius_mm: float) -> Array:
     if room.min() < 0.0:
         raise ValueError("object.corner_radius_mm: two corners' arcs do not fit on the edge between them")
     pieces = int(np.clip(MOST_EDGES // len(corners) - 1, 1, 8))
-    shares = np.arange(pieces) + 0.5  # the corners of a tangent polygon: half a piece beyond where the arc begins
+    shares = np.arange(pieces) + 0.5  # the corners of a tangent polygon: half a piece beyond the start of the arc
     ahead = np.arctan2(before[:, 1], before[:, 0])[:, None] + turn[:, None] / pieces * shares
     centre = corners - (cut / np.linalg.norm(before, axis=1))[:, None] * before
     centre = centre + radius_mm * np.stack([-before[:, 1], before[:, 0]], 1) / np.linalg.norm(before, axis=1)[:, None]
@@ -92,7 +92,7 @@ def rounded(vertices: Vertices, radius_mm: float) -> Array:
 
 
 def centred(vertices: Vertices) -> Array:
-    """A polygon's vertices [n, 2], mm, moved to where the fingers hold it.
+    """A polygon's vertices [n, 2], mm, moved to the position in which the fingers hold it.
 
     The middle of its extent across the gap is at x = 0, and both fingers touch it equally far from y = 0.
     """
@@ -103,7 +103,7 @@ def centred(vertices: Vertices) -> Array:
 
 
 def crest_mm(vertices: Vertices) -> float:
-    """How far from y = 0 either finger touches a polygon that it holds."""
+    """Distance from y = 0 at which either finger touches a polygon that it holds."""
     polygon = centred(vertices)
     return float(_height(_sides(polygon)[0], polygon).max())
 
@@ -133,7 +133,7 @@ def _side(start: Array, end: Array) -> Array:
 
 
 def _height(lines: Array, polygon: Array) -> Array:
-    """Height of a held side wherever it can be highest between the fingers."""
+    """Height of a held side at every place where it can be highest between the fingers."""
     x = np.concatenate([polygon[np.abs(polygon[:, 0]) < GRIP_HALF_MM, 0], [-GRIP_HALF_MM, GRIP_HALF_MM]])
     return np.asarray((lines[:, 0] + np.multiply.outer(x, lines[:, 1])).min(axis=1))
 

@@ -1,4 +1,4 @@
-"""What a moment of a simulated cell looks like to the outside, why there may be none, and what a cell can do."""
+"""The observable state of a simulated cell, its failures, and the interface of a cell."""
 
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -15,10 +15,10 @@ Reason = Literal["gel squeezed through", "pads unsettled", "forces unbalanced", 
 
 
 class PhysicsError(RuntimeError):
-    """The equilibrium could not be found; the text says where. The cell's state is the last one that was found.
+    """No equilibrium was found; the text says where. The cell keeps its last equilibrium.
 
-    reason: the grip is more than the gel bears; the layer's pads do not settle; no iteration balances the forces; or
-    they balance, but the friction limits jump from round to round (stick and slip both end in the other).
+    reason: the grip exceeds what the gel bears; the layer's pads do not settle; no iteration balances the forces; or
+    they balance, but the friction limits jump from round to round (stick and slip each lead to the other).
     """
 
     def __init__(self, text: str, reason: Reason) -> None:
@@ -31,11 +31,10 @@ class CellState:
     """One moment; forces and displacements are those at the end of the last move.
 
     gel: float32 [2, rows, columns, 3 or more] = du mm, dv mm (finger frame), pressure N/mm2, at marker rest positions,
-    and what else the cell's own cameras ask for.
-    slipping: bool [2, rows, columns], the gel there slid on the object in the last load step. slipping_share [2]: of
-    the pressed nodes of a pad. wrench_n_nmm [6]: what blocks, gravity and inertia do to the object, at the TCP, hand
-    frame. in_hand [6]: mm and rotation vector, rad. object_error: (x mm, theta deg). block_motion [2, 4]: dx, dy mm,
-    yaw, tilt deg.
+    and any further values for the cell's own cameras. slipping: bool [2, rows, columns], the gel there slid on the
+    object in the last load step. slipping_share [2]: share of a pad's pressed nodes. wrench_n_nmm [6]: of blocks,
+    gravity and inertia on the object, at the TCP, hand frame. in_hand [6]: mm and rotation vector, rad. object_error:
+    (x mm, theta deg). block_motion [2, 4]: dx, dy mm, yaw, tilt deg.
     """
 
     gel: NDArray[np.float32]
@@ -53,7 +52,7 @@ class CellState:
 
     @property
     def inserted(self) -> bool:
-        """Ground truth of an insertion: nothing speaks against it."""
+        """Ground truth of an insertion: there are no shortfalls."""
         return not self.shortfalls
 
 
@@ -66,7 +65,7 @@ class Cell(Protocol):
     scene: Scene
     pose: Array
     pace_mm_s: float
-    """How fast the moves that follow are, where that matters."""
+    """Speed of the moves that follow, where it matters."""
 
     @property
     def relaxes(self) -> bool:
@@ -76,13 +75,13 @@ class Cell(Protocol):
         """Stand still for a while. Raises PhysicsError as `move_to` does."""
 
     def regrasp(self, x_mm: float, theta_deg: float) -> CellState:
-        """Put the object into the hand anew, its error as given, at approach height. Raises PhysicsError."""
+        """Regrasp the object with the given error, at approach height. Raises PhysicsError."""
 
     def reset_blocks(self) -> None:
-        """Put both blocks back where the scene has them."""
+        """Put both blocks back at the scene's positions."""
 
     def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
-        """Move the TCP in a straight line. Raises PhysicsError where no equilibrium was found."""
+        """Move the TCP in a straight line. Raises PhysicsError where no equilibrium is found."""
 
     def look(self) -> CellState:
         """The state now, without moving."""

@@ -1,10 +1,11 @@
 """What the software does not know: errors of its calibration, and the mistakes of a first day.
 
-Frames. *Told*: poses of the TCP as the arm and the client name them, in the work-object frame that they were taught.
-*True*: where the middle between the fingers (and with it the object) is, in the frame of the blocks as they stand.
-With a command at told pose p, the hand is at `Misplacement.true(p)`, in this order: a wrong sign turns the motion
-since the approach over; ``tcp_offset_mm``, in the tool frame, turns with the tool; ``frame_yaw_deg`` turns what the
-arm takes for the work object about the gap's centre; ``blocks_up_mm`` lifts the blocks towards the hand.
+*Reported* poses are those of the TCP in the terms of arm and client, in the work-object frame that they were taught.
+*True* poses are those of the middle between the fingers (and with it the object), in the frame of the blocks.
+
+At a commanded pose p the hand is at `Misplacement.true(p)`, computed in this order: a wrong sign inverts the motion
+since the approach; ``tcp_offset_mm``, in the tool frame, turns with the tool; ``frame_yaw_deg`` turns the arm's work
+object about the gap's centre; ``blocks_up_mm`` lifts the blocks towards the hand.
 """
 
 import math
@@ -28,16 +29,15 @@ Sign = Annotated[Literal[1, -1], BeforeValidator(lambda given: int(given) if giv
 class Unstated(Part):
     """The table `[world]` of a world file.
 
-    ``tcp_offset_mm`` (x, y): where the middle between the fingers truly is, in the tool frame that the arm was told.
-    ``frame_yaw_deg``: the work object is turned by as much against what the arm takes for it; an object that is told
-    to be straight lies at this yaw, and told x and y lead that much askew.
-    ``camera_scale`` and ``camera_roll_deg`` (left, right): what the calibration of that finger's camera is wrong by.
-    Its rectified picture is as much too large, and turned clockwise as it is shown, about its middle.
-    ``stop_lag_s``: a stop takes effect so long after it was ordered. ``blocks_up_mm``: how much higher than told the
-    block tops are. The told errors are added to the gap and to the height of the grasp that the software is given.
-    ``swapped_fingers``: either camera's frames come under the other's name, together with its calibration.
-    ``mirrored`` (left, right): that camera delivers its frames mirrored, left for right, after it was calibrated.
-    ``x_sign``, ``yaw_sign``: -1 moves the arm the other way in x or yaw than commanded, seen from the approach.
+    ``tcp_offset_mm`` (x, y): true position of the middle between the fingers, in the arm's tool frame.
+    ``frame_yaw_deg``: yaw error of the arm's work object; an object reported as straight has this yaw, and reported x
+    and y are askew by it. ``camera_scale`` and ``camera_roll_deg`` (left, right): errors of the calibration of that
+    finger's camera. Its rectified picture is too large by that factor, and turned clockwise as displayed, about its
+    middle. ``stop_lag_s``: delay until an ordered stop takes effect. ``blocks_up_mm``: height of the block tops above
+    the reported one. The gap and the grasp height given to the software contain the stated errors. ``swapped_fingers``:
+    either camera's frames come under the other's name, together with its calibration. ``mirrored`` (left, right): that
+    camera delivers its frames mirrored, left for right, since its calibration. ``x_sign``, ``yaw_sign``: -1 moves the
+    arm opposite to the command in x or yaw, seen from the approach.
     """
 
     tcp_offset_mm: tuple[Shift, Shift] = (0.0, 0.0)
@@ -60,7 +60,7 @@ class Unstated(Part):
         return straight and self.x_sign == self.yaw_sign == 1
 
     def residual_px(self, index: int, centre_px: tuple[float, float]) -> NDArray[np.float64] | None:
-        """What a camera's calibration is wrong by, [3, 3] on rectified pixels about the picture's centre, or None."""
+        """Error of a camera's calibration, [3, 3] on rectified pixels about the picture's centre, or None."""
         if self.camera_scale[index] == 1.0 and self.camera_roll_deg[index] == 0.0:
             return None
         out = np.eye(3)
@@ -77,13 +77,13 @@ class Unstated(Part):
 
 @dataclass(frozen=True, slots=True)
 class Misplacement:
-    """Commanded and true poses of one insertion; ``approach`` is the commanded pose that its corrections start from."""
+    """Commanded and true poses of one insertion; ``approach`` is the commanded pose to which its corrections refer."""
 
     unstated: Unstated
     approach: Pose
 
     def true(self, reported: Pose) -> Pose:
-        """Where the hand is when the arm says ``reported``."""
+        """True pose of the hand when the arm reports ``reported``."""
         world = self.unstated
         if world.well_placed:
             return reported
@@ -93,7 +93,7 @@ class Misplacement:
         return x, y, z - world.blocks_up_mm, yaw + world.frame_yaw_deg
 
     def reported(self, true: Pose) -> Pose:
-        """What the arm says when the hand is at ``true``."""
+        """Pose that the arm reports when the hand is at ``true``."""
         world = self.unstated
         if world.well_placed:
             return true
@@ -104,7 +104,7 @@ class Misplacement:
         return self._signed((x - dx, y - dy, z + world.blocks_up_mm, yaw))
 
     def _signed(self, pose: Pose) -> Pose:
-        """Its own inverse."""
+        """Apply the wrong signs; its own inverse."""
         x, y, z, yaw = pose
         x0, _, _, yaw0 = self.approach
         return x0 + self.unstated.x_sign * (x - x0), y, z, yaw0 + self.unstated.yaw_sign * (yaw - yaw0)

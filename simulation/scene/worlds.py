@@ -1,8 +1,8 @@
 """Reads objects and worlds from TOML; a scene is a world with an object in it.
 
-An object file states what is held: its `[object]` and, where they matter, `[blocks]`, `[start]` and any other table of
-a scene. A world file states everything about the cell but the object, and wins where both do. The folder
-`simulation/objects` is the registry of the objects that are known by name.
+An object file has an `[object]` table and, where they matter, `[blocks]`, `[start]` and any other table of a scene. A
+world file states everything about the cell except the object, and takes precedence. The folder `simulation/objects` is
+the registry of named objects.
 """
 
 from collections import Counter
@@ -23,7 +23,7 @@ from simulation.scene.unstated import Unstated
 
 OBJECTS = Path(__file__).parents[1] / "objects"
 GAP_BEYOND_OBJECT_MM = 4.0
-START_SHARE, START_MOST_MM = 0.3, 15.0  # of the object's width
+START_SHARE, START_MOST_MM = 0.3, 15.0  # share of the object's width, and upper limit
 
 
 class Start(Part):
@@ -52,7 +52,7 @@ TOP_LEVEL = {"motion.descent_speed_mm_s": "speed_mm_s"}
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """A cell without its object: dotted keys of a scene with their values, and what the software is not given."""
+    """A cell without its object: dotted keys of a scene with their values, and what the software does not know."""
 
     name: str = "as_trained"
     changes: Mapping[str, Any] = field(default_factory=dict)
@@ -118,7 +118,7 @@ def _validated(path: Path, table: str, model: type[Part], values: Mapping[str, A
 
 
 def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
-    """The scene of an object by its name in the registry or by TOML path, in a world as trained.
+    """The scene of an object by its name in the registry or by TOML path, in the training world.
 
     Overrides use `__` for the dot: gel__friction=0.5.
 
@@ -143,11 +143,11 @@ def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
 
 
 def fill(data: dict[str, Any]) -> None:
-    """Gap and range of start errors where the object's file leaves them out."""
+    """Fill in gap and range of start errors where the object's file omits them."""
     try:
         width_mm = HeldObject.model_validate(_table(data, "object")).size_x_mm
     except ValidationError:
-        return  # the scene names what is wrong
+        return  # the scene's validation names the error
     if isinstance(data.setdefault("blocks", {}), dict):
         data["blocks"].setdefault("gap_mm", width_mm + GAP_BEYOND_OBJECT_MM)
     data.setdefault("x_range_mm", min(START_MOST_MM, START_SHARE * width_mm))
@@ -177,7 +177,7 @@ def object_names() -> tuple[str, ...]:
 
 @cache
 def known_object(name_or_path: str) -> Scene | None:
-    """The object that results call so, or None where its file is not there any more."""
+    """The object of this name in results, or None where its file no longer exists."""
     try:
         return load_scene(name_or_path)
     except SceneError:
@@ -191,10 +191,10 @@ def training_objects() -> tuple[str, ...]:
 
 
 def files_in(given: Iterable[str | Path], known: Iterable[str] = ()) -> tuple[str, ...]:
-    """Names that are known as they are, files as they are, and each folder's TOML files.
+    """Known names and files unchanged, and each folder's TOML files.
 
     Raises:
-        SceneError: an empty folder, or two of the same name: results are listed by it.
+        SceneError: an empty folder, or two of the same name: results are listed by name.
     """
     known = set(known)
     listed: list[str] = []
@@ -210,5 +210,5 @@ def files_in(given: Iterable[str | Path], known: Iterable[str] = ()) -> tuple[st
 
 
 def load_objects(given: Iterable[str | Path]) -> dict[str, Scene]:
-    """The scenes of objects by what they were called by: names, files and folders. Raises SceneError."""
+    """The scenes of objects by their given names: names, files and folders. Raises SceneError."""
     return {one: load_scene(one) for one in files_in(given, object_names())}

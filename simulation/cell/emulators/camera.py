@@ -1,8 +1,8 @@
-"""A finger's camera as MJPEG over HTTP, one connection a client, every part stamped with its capture time.
+"""A finger's camera as MJPEG over HTTP, one connection per client, every part stamped with its capture time.
 
 ``X-Timestamp`` is the capture time in seconds of the machine's steady clock with nanosecond digits (as camera streamers
 stamp frames with the driver's monotonic time), ``X-Captured-Ns`` the same as an integer, ``X-Sequence`` counts frames.
-A slow client loses frames, never delays others: each connection sends the newest frame only.
+A slow client loses frames and never delays others: each connection sends the newest frame only.
 """
 
 import asyncio
@@ -55,9 +55,9 @@ class Shot:
 
 
 class CameraEmulator:
-    """HTTP server of one camera; ``publish`` is called on its event loop with each new shot.
+    """HTTP server of one camera; call ``publish`` on its event loop with each new shot.
 
-    ``dropped_share`` of the frames never arrive, by the scene; the fault board can ask for more.
+    The scene's ``dropped_share`` of the frames never arrives; the fault board can raise it.
     """
 
     def __init__(self, finger: str, board: FaultBoard, dropped_share: float = 0.0) -> None:
@@ -97,7 +97,7 @@ class CameraEmulator:
         await asyncio.gather(*self._streams, return_exceptions=True)
 
     def _loses(self, share: float) -> bool:
-        """Whether this frame is one of those that never arrive."""
+        """True if this frame is one of those that never arrive."""
         return self._random.random() < share
 
     async def publish(self, shot: Shot) -> None:
@@ -149,7 +149,7 @@ class CameraEmulator:
         await writer.drain()
 
     async def _stream(self, writer: asyncio.StreamWriter) -> None:
-        sent = self.published  # a stream begins with the next frame, never with an old one
+        sent = self.published  # a stream begins with the next frame, never with a stale one
         while not (self._stopped or self.faults.disconnect):
             if await self._newer_than(sent) and self._newest is not None:
                 sent = self.published
@@ -157,7 +157,7 @@ class CameraEmulator:
                 await writer.drain()
 
     async def _newer_than(self, sent: int) -> bool:
-        """Wait up to a quarter second for another shot than number ``sent``."""
+        """Wait up to a quarter second for a shot other than number ``sent``."""
         async with self._fresh:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._fresh.wait_for(lambda: self._stopped or self.published != sent), 0.25)

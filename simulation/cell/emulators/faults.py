@@ -1,7 +1,7 @@
-"""Every fault that the emulated devices can be made to show, as one typed record.
+"""Every fault that the emulated devices can show, as one typed record.
 
 ``POST /faults`` of the cell's admin port replaces the named fields and leaves the others; ``DELETE /faults`` restores
-health. Switches stay on until they are taken back; counts are used up by the next bytes that leave the device.
+health. Switches stay on until they are reset; counts are used up by the next bytes that leave the device.
 """
 
 from typing import Annotated, Any, Literal
@@ -16,7 +16,7 @@ Count = Annotated[int, Field(ge=0, le=1_000_000)]
 
 
 class FaultError(ValueError):
-    """A fault was asked for that no emulator knows, or with a value out of range."""
+    """The request names a fault that no emulator knows, or a value out of range."""
 
 
 class _Section(BaseModel):
@@ -29,7 +29,7 @@ class EgmFaults(_Section):
     delay_ms: Delay = 0.0  # every datagram, both ways
     drop_share: Share = 0.0  # of the datagrams robot -> guide
     silent: bool = False  # nothing is sent, the arm keeps following: the stream alone is lost
-    frozen: bool = False  # the same datagram again and again: a stale stream that still arrives
+    frozen: bool = False  # the same datagram again and again: a frozen stream that still arrives
     garbage_next: Count = 0  # this many datagrams carry random bytes
     ignore_guide: bool = False  # what the guide sends never reaches the controller
 
@@ -40,8 +40,8 @@ class RwsFaults(_Section):
     delay_ms: Delay = 0.0
     refuse_next: Count = 0  # this many requests get 503
     reset_next: Count = 0  # this many connections are cut without an answer
-    garbage_next: Count = 0  # this many answers are not what they claim to be
-    stop_ignored: bool = False  # 204 for stop, and the program runs on
+    garbage_next: Count = 0  # this many answers are malformed
+    stop_ignored: bool = False  # 204 for stop, but the program keeps running
 
 
 class WsgFaults(_Section):
@@ -67,7 +67,7 @@ class CameraFaults(_Section):
     half_size: bool = False  # frames come at half their width and height
     black: bool = False
     frozen_noise: bool = False  # the same picture again and again, each with new noise of two grey levels
-    unstamped: bool = False  # parts do not say when they were captured
+    unstamped: bool = False  # parts carry no capture time
 
 
 class RobotFaults(_Section):
@@ -83,7 +83,7 @@ class RobotFaults(_Section):
 class GripperFaults(_Section):
     """Faults of the gripper itself."""
 
-    part_lost: bool = False  # the held part is gone
+    part_lost: bool = False  # the held part is lost
     not_homed: bool = False
     fast_stop: bool = False  # an event: latches FAST STOP until it is acknowledged
     temperature_warning: bool = False
@@ -126,7 +126,7 @@ class FaultBoard:
 
 
 def take(section: _Section, field: str) -> bool:
-    """Use up one of a ``*_next`` count or an event switch: True if it was set."""
+    """Use up one unit of a ``*_next`` count or an event switch: True if it was set."""
     value = getattr(section, field)
     if value:
         setattr(section, field, value - 1 if not isinstance(value, bool) else False)

@@ -1,4 +1,4 @@
-"""Loopback sockets and HTTP servers of the emulators: everything on 127.0.0.1, a busy port is one clear line."""
+"""Loopback sockets and HTTP servers of the emulators: everything on 127.0.0.1; a busy port gives one clear line."""
 
 import contextlib
 import socket
@@ -10,7 +10,7 @@ HOST = "127.0.0.1"
 
 
 class BusyPortError(ValueError):
-    """A port that was asked for cannot be had."""
+    """A requested port is not available."""
 
 
 def _bind(kind: socket.SocketKind, port: int, name: str) -> socket.socket:

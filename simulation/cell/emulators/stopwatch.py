@@ -1,4 +1,4 @@
-"""When and where the arm was stopped: the time of the last new target, how far it went on, when it stood still.
+"""When and where the arm stopped: the time of the last new target, the overtravel, and the time of standstill.
 
 Stamps are the machine's steady clock, so they compare with the capture stamps of the cameras.
 """
@@ -10,25 +10,25 @@ from dataclasses import asdict, dataclass
 from simulation.cell.emulators.abb.cabinet import Cabinet
 
 _DESCENT_MM_S = -1.0
-_REST_MM_S = 0.1  # what a lag still has to go at this speed is a few micrometres
+_REST_MM_S = 0.1  # at this speed the lag leaves only a few micrometres to go
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
     """One end of a downward motion."""
 
-    frozen_ns: int  # the last target that was lower than the one before reached the controller
+    frozen_ns: int  # when the last target lower than the one before reached the controller
     rest_ns: int
     z_frozen_mm: float
     z_rest_mm: float
 
     @property
     def overtravel_mm(self) -> float:
-        """Way down after the target was frozen."""
+        """Downward travel after the target was frozen."""
         return self.z_frozen_mm - self.z_rest_mm
 
     def as_dict(self) -> dict[str, float]:
-        """Plain data with the overtravel."""
+        """Plain data, overtravel included."""
         return asdict(self) | {"overtravel_mm": self.overtravel_mm}
 
 

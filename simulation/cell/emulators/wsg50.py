@@ -18,8 +18,9 @@ TICK_S = 0.005
 class Wsg50Emulator:
     """Servers and clock of the gripper.
 
-    The gripper has one command interface. Here both are open, and datagrams are ignored while a client is connected.
-    ``udp_remote_port`` is where answers to datagrams go, as in the gripper's settings; 0 sends them back to the sender.
+    The real gripper has one command interface. Here both are open, and datagrams are ignored while a client is
+    connected. ``udp_remote_port`` is the port for answers to datagrams, as in the gripper's settings; 0 answers to the
+    sender.
     """
 
     def __init__(self, gripper: Gripper, board: FaultBoard, udp_remote_port: int = 0) -> None:
@@ -104,7 +105,7 @@ class _Connection(asyncio.Protocol):
 
 
 class _Datagrams(asyncio.DatagramProtocol):
-    """Clients over UDP ([M] 1.1): whoever sent last is the client; nobody can vanish, so nothing stops."""
+    """Clients over UDP ([M] 1.1): the last sender is the client; no disconnection can be noticed, so nothing stops."""
 
     def __init__(self, emulator: Wsg50Emulator, remote_port: int) -> None:
         self._emulator = emulator

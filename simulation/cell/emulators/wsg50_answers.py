@@ -1,4 +1,4 @@
-"""Commands of the WSG-50 that this cell's own driver never sends, and foreign drivers do: a value or "not available".
+"""WSG-50 commands that only foreign drivers send, not this cell's own: answered with a value or "not available".
 
 Cited by section: [M] WSG Command Set Reference Manual, firmware 4.0.0, July 2015.
 """
@@ -19,11 +19,11 @@ POWER_ON = 0x01
 POWER_UP_S = 0.5
 
 Answers = tuple[tuple[bytes, float], ...]
-"""Replies in order, each with the time after which it is sent, in s."""
+"""Replies in order, each with the delay before it is sent, in s."""
 
 
 def answer(frame: Frame, gripper: Gripper) -> Answers | None:
-    """The replies to such a command, None for one that is answered elsewhere."""
+    """The replies to such a command; None for a command that is answered elsewhere."""
     finger, command = frame.command & 0xF0, frame.command & 0x0F
     if finger in FINGERS and command <= DATA:
         return _finger(frame, command, finger == FINGERS[1], gripper)
@@ -47,7 +47,7 @@ def _sized(frame: Frame, size: int) -> Status:
 
 
 def _finger(frame: Frame, command: int, second: bool, gripper: Gripper) -> Answers:
-    """[M] 3.6.1 to 3.6.8. Both are generic fingers to the gripper: the tactile ones have cables of their own."""
+    """[M] 3.6.1 to 3.6.8. Both fingers are generic to the gripper: the tactile ones have their own cables."""
     if len(frame.payload) != (command == POWER):
         return _reply(frame, Status.CMD_FORMAT_ERROR)
     if command == DATA:
@@ -63,7 +63,7 @@ def _finger(frame: Frame, command: int, second: bool, gripper: Gripper) -> Answe
 
 
 def _overdrive(frame: Frame, gripper: Gripper) -> Answers:
-    """[M] 3.3.8. The mode is told (appendix B); this gripper's limit in it is the nominal force all the same."""
+    """[M] 3.3.8. The mode is reported (appendix B); this gripper's force limit stays the nominal force in it."""
     status = _sized(frame, 1)
     if status is Status.SUCCESS:
         gripper.overdrive = bool(frame.payload[0] & 1)
@@ -71,7 +71,7 @@ def _overdrive(frame: Frame, gripper: Gripper) -> Answers:
 
 
 def _tare(frame: Frame, gripper: Gripper) -> Answers:
-    """[M] 3.3.9: not while it holds, and not available without a force-measuring finger."""
+    """[M] 3.3.9: refused while it holds a part, and not available without a force-measuring finger."""
     status = _sized(frame, 0)
     if status is Status.SUCCESS:
         holding = gripper.state is GraspingState.HOLDING
@@ -80,7 +80,7 @@ def _tare(frame: Frame, gripper: Gripper) -> Answers:
 
 
 def _statistics(frame: Frame, gripper: Gripper) -> Answers:
-    """[M] 3.4.3: u32 grips, u16 without a part, u16 lost parts; the lowest bit sets them back after reading."""
+    """[M] 3.4.3: u32 grips, u16 without a part, u16 lost parts; the lowest bit resets them after reading."""
     status = _sized(frame, 1)
     counted = struct.pack("<IHH", gripper.grasps_n, gripper.empty_n, gripper.lost_n)
     if status is Status.SUCCESS and frame.payload[0] & 1:
@@ -102,7 +102,7 @@ def _get_tag(frame: Frame, gripper: Gripper) -> Answers:
 
 
 def _set_tag(frame: Frame, gripper: Gripper) -> Answers:
-    """[M] 3.5.2: at most 64 characters and none that controls anything; NUL at the end is stripped."""
+    """[M] 3.5.2: at most 64 characters, no control characters; NUL at the end is stripped."""
     tag = frame.payload.rstrip(b"\0")
     if len(tag) > MAX_TAG_BYTES:
         return _reply(frame, Status.OVERRUN)

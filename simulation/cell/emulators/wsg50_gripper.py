@@ -1,7 +1,8 @@
 """The WSG-50-110 as a mechanism: fingers with ramps, a part that blocks them, the grasping state machine, faults.
 
-Widths in mm, speeds in mm/s, forces in N. A spindle drive locks itself: power or program stops leave a held part held;
-only opening the fingers lets go of it. Cited by section: [M] WSG Command Set Reference Manual, firmware 4.0.0.
+Widths in mm, speeds in mm/s, forces in N. The spindle drive is self-locking: a held part stays held through power loss
+and program stops; only opening the fingers releases it. Cited by section: [M] WSG Command Set Reference Manual,
+firmware 4.0.0.
 """
 
 import math
@@ -19,7 +20,7 @@ FORCE_N = (5.0, 80.0)
 CLAMPING_TRAVEL_MM = 5.0
 CLAMP_N = FORCE_N[1] / 2  # [M] 3.2.2: a move that clamps does so with half of the nominal force
 _FORCE_RISE_S = 0.04
-_GIVE_MM = 0.3  # how far the pads' surface lets the fingers beyond the part's width when it is opened again
+_GIVE_MM = 0.3  # opening this far beyond the part's width lets the part go: until then the pads still hold it
 
 Finish = Callable[[Status], None]
 
@@ -50,7 +51,7 @@ class _Motion:
 
 
 class Gripper:
-    """Mechanism and state machine; ``advance`` lets time pass."""
+    """Mechanism and state machine; ``advance`` moves its clock."""
 
     def __init__(self, part: Part, board: FaultBoard, *, holding: bool = True) -> None:
         self._part = part
@@ -81,7 +82,7 @@ class Gripper:
     def homed(self) -> bool:
         return self.referenced and not self._board.faults.gripper.not_homed
 
-    # ---- commands: the immediate status; PENDING means that ``finish`` gets the final one --------------------
+    # ---- commands: the immediate status; after PENDING, ``finish`` gets the final one -------------------------
 
     def home(self, direction: int, finish: Finish) -> Status:
         """Drive to an end stop and take it as reference."""
@@ -99,7 +100,8 @@ class Gripper:
     ) -> Status:
         """MOVE, GRASP or RELEASE towards a width; ``clamps``: a MOVE that meets a part keeps pressing it.
 
-        [M] 3.2.2: beyond the physical limits, width and speed are taken as the limit; beyond soft limits, refused.
+        [M] 3.2.2: width and speed beyond the physical limits are clamped to them; beyond the soft limits they are
+        refused.
         """
         denied = self._denied()
         if denied is Status.SUCCESS and not self.homed:
@@ -131,7 +133,7 @@ class Gripper:
         return Status.SUCCESS
 
     def fast_stop(self, why: Status = Status.CMD_ABORTED) -> Status:
-        """Stop and latch: nothing moves until the operator acknowledges; ``why`` ends the motion's command."""
+        """Stop and latch: nothing moves until the operator acknowledges; the motion's command ends with ``why``."""
         self._abort(why)
         self.fast_stopped = True
         self.state = GraspingState.ERROR
@@ -187,12 +189,12 @@ class Gripper:
         return Status.ALREADY_RUNNING if self._motion is not None else Status.SUCCESS
 
     def _allowed(self, width_mm: float) -> bool:
-        """Whether the soft limits let the fingers stand there."""
+        """True if the soft limits allow this finger width."""
         low, high = self.soft_limits_mm or (-math.inf, math.inf)
         return low <= width_mm <= high
 
     def _snap(self, width_mm: float) -> None:
-        """[M] 3.2.2: what a move clamped is gone, and the fingers snap to where they were sent."""
+        """[M] 3.2.2: the clamped part is gone, and the fingers snap to the commanded width."""
         self.width_mm, self.force_n, self.blocked, self._clamping_to_mm = width_mm, 0.0, False, None
 
     def _go(self, motion: _Motion) -> Status:
@@ -249,7 +251,7 @@ class Gripper:
         self.blocked = True
         if motion.command is Command.GRASP:
             self._squeeze_s = 0.0
-        else:  # the vendor's flag: clamp on block is the default, stop on block takes the force away
+        else:  # the vendor's flag: clamp on block is the default, stop on block removes the force
             self.force_n = CLAMP_N if motion.clamps else 0.0
             self._clamping_to_mm = motion.target_mm if motion.clamps else None
             self._end(Status.AXIS_BLOCKED, GraspingState.IDLE)

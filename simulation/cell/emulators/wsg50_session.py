@@ -1,7 +1,7 @@
-"""One client of the emulated WSG-50, whatever it talks over: its requests, their answers, its auto-updates.
+"""One client of the emulated WSG-50 over any link: its requests, their answers, its auto-updates.
 
 Cited by section: [M] WSG Command Set Reference Manual, firmware 4.0.0, July 2015, the manual of the firmware that this
-gripper says it has.
+gripper reports.
 """
 
 import asyncio
@@ -35,7 +35,7 @@ _MOTIONS = (Command.MOVE, Command.GRASP, Command.RELEASE)
 
 @dataclass(slots=True)
 class WsgCounters:
-    """What went over the wire, for tests and the report."""
+    """Counts of what went over the wire, for tests and the report."""
 
     requests: int = 0
     motions: int = 0
@@ -53,7 +53,7 @@ class _Update:
 
 
 class Session:
-    """Requests in, answers out through ``write``; ``leaves`` says whether this link can be announced to end."""
+    """Requests in, answers out through ``write``; ``leaves``: whether this link's end can be announced."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class Session:
         self._random = random.Random(0)
 
     def feed(self, data: bytes) -> None:
-        """Take bytes of the client in and answer every frame in them."""
+        """Accept bytes from the client and answer every frame in them."""
         for frame in self._parser.feed(data):
             self._counters.requests += 1
             if self.announced:  # [M] 3.1.2: it waits for the disconnection
@@ -127,7 +127,7 @@ class Session:
         return self._settings(command, values)
 
     def _leave(self) -> Status:
-        """[M] 3.1.2: motions are aborted; not available on a link without connections."""
+        """[M] 3.1.2: motions are aborted; not available on a connectionless link."""
         if not self._leaves:
             return Status.NOT_AVAILABLE
         self.announced = True
@@ -151,7 +151,7 @@ class Session:
         return gripper.move(command, float(values[0]), float(values[1]), finish)
 
     def _settings(self, command: Command, values: tuple[Value, ...]) -> tuple[Status, tuple[Value, ...]]:
-        """[M] 3.3.1 to 3.3.7 (acceleration and force beyond a limit are taken as the limit), 3.1.1, 3.5.1, 3.5.4."""
+        """[M] 3.3.1 to 3.3.7 (acceleration and force beyond a limit are clamped to it), 3.1.1, 3.5.1, 3.5.4."""
         gripper = self._gripper
         if command is Command.SET_ACCELERATION:
             gripper.acceleration_mm_s2 = _clamped(float(values[0]), ACCELERATION_MM_S2)

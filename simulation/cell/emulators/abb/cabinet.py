@@ -62,7 +62,7 @@ class Cabinet:
         default_factory=lambda: {"doSlipStop": 0.0, "diObjectFixed": 1.0, "aoClampForce": 0.0}
     )
     ranges: dict[str, tuple[float, float]] = field(default_factory=lambda: {"aoClampForce": (0.0, 20.0)})
-    """Of the analog signals: all others are digital."""
+    """Names of the analog signals; all others are digital."""
     symbols: dict[str, str] = field(default_factory=dict)
     log: deque[LogEntry] = field(default_factory=lambda: deque(maxlen=1000))
     _motors_due_s: float | None = None
@@ -81,10 +81,10 @@ class Cabinet:
         stamp = datetime.now().strftime("%Y-%m-%d T  %H:%M:%S")  # noqa: DTZ005 the controller's own wall clock
         self.log.append(LogEntry(self._entries, kind, code, title, stamp))
 
-    # ---- what RWS asks for ------------------------------------------------------------------------------------
+    # ---- requests over RWS ------------------------------------------------------------------------------------
 
     def request_motors(self, on: bool) -> None:
-        """Switch the drives; raise RefusedError while a safety stop stands."""
+        """Switch the drives; raise RefusedError while a safety stop is active."""
         if on and self.state not in ("motoroff", "motoron", "emergencystopreset"):
             raise RefusedError(f"motors cannot be switched on in state {self.state}")
         if on and self.board.faults.robot.motors_off:
@@ -106,7 +106,7 @@ class Cabinet:
             self._start_due_s = self._now_s + self.delays.program_start_s
 
     def request_stop(self) -> None:
-        """Stop the RAPID program: the arm brakes at once, the state reads running until it has come to rest."""
+        """Stop the RAPID program: the arm brakes at once; the state reads running until the arm is at rest."""
         self._start_due_s = None
         if self.board.faults.rws.stop_ignored or not self.running:
             return
@@ -114,7 +114,7 @@ class Cabinet:
         self._stop_due_s = self._now_s + self.delays.program_stop_s
 
     def set_signal(self, name: str, value: str) -> None:
-        """Set a signal; raises KeyError for an unknown one, ValueError for a value that it cannot have."""
+        """Set a signal; raises KeyError for an unknown one, ValueError for a value that it cannot take."""
         if name not in self.signals:
             raise KeyError(name)
         if name not in self.ranges and value not in ("0", "1"):
@@ -124,7 +124,7 @@ class Cabinet:
             raise ValueError(f"lvalue {value} of {name}, expected {low:g} to {high:g}")
         self.signals[name] = float(value)
 
-    # ---- what EGM reports -------------------------------------------------------------------------------------
+    # ---- reports over EGM -------------------------------------------------------------------------------------
 
     def guide(self, target: Pose) -> None:
         """A valid message of the guide arrived: follow its target if EGM runs."""
@@ -136,18 +136,18 @@ class Cabinet:
             self.arm.braking = False
 
     def keep_alive(self) -> None:
-        """A message of the guide without a target keeps the session, the arm holds its last one."""
+        """A message of the guide without a target keeps the session alive; the arm holds its last target."""
         self._last_guide_s = self._now_s
 
     def guidance_error(self, reason: str) -> None:
-        """The guide sent what no controller follows: end the run and hold."""
+        """The guide sent a target that no controller follows: end the run and hold."""
         self.note(3, 41822, f"EGM: {reason}")
         self._end_program()
 
     # ---- time -------------------------------------------------------------------------------------------------
 
     def advance(self, now_s: float) -> None:
-        """Let time pass on the controller's clock: safety faults, delayed actions, communication timeout, motion."""
+        """Advance the controller's clock: safety faults, delayed actions, communication timeout, motion."""
         self._apply_faults()
         if self._motors_due_s is not None and now_s >= self._motors_due_s:
             self._motors_due_s = None

@@ -1,7 +1,7 @@
 """EGM on the robot's side: the controller sends its state first, at 250 Hz, to the configured guide; the guide answers.
 
 Bytes come from ``robot_client.robots.abb_egm.codec``. A guide's message counts only if it parses, is finite and carries
-a unit quaternion; a non-finite target ends guidance with the arm braking to a hold.
+a unit quaternion. A non-finite target ends guidance: the arm brakes and holds.
 """
 
 import asyncio
@@ -26,7 +26,7 @@ _FAREWELL_CYCLES = 12  # the controller reports the stopped state for some 50 ms
 
 @dataclass(slots=True)
 class EgmCounters:
-    """What went over the wire, for tests and the report."""
+    """Counts of what went over the wire, for tests and the report."""
 
     sent: int = 0
     received: int = 0
@@ -39,10 +39,11 @@ def _to_wire(pose: Pose) -> WirePose:
 
 
 class EgmEmulator(asyncio.DatagramProtocol):
-    """The UDP side of the cabinet; also the controller's clock, in cycles of exactly 4 ms as on the real one.
+    """The UDP side of the cabinet, and the controller's clock, in cycles of exactly 4 ms as on the real one.
 
-    A machine too busy to serve a cycle makes the next ones follow at once; if it is more than a few behind, the lost
-    ones are skipped and counted, as if their datagrams had been lost. The arm moves by the clock, not by the count.
+    If the machine is too busy to serve a cycle, the next ones follow at once. If it falls more than a few cycles
+    behind, the lost ones are skipped and counted, as if their datagrams had been lost. The arm moves by the clock, not
+    by the count.
     """
 
     def __init__(self, cabinet: Cabinet, frames: CellFrames, guide_port: int) -> None:

@@ -1,4 +1,4 @@
-"""Where the work object and the tool are: between the cell's frame, the robot's base and its joints."""
+"""The poses of work object and tool: conversions between the cell's frame, the robot's base and its joints."""
 
 from dataclasses import dataclass
 
@@ -13,13 +13,13 @@ from simulation.cell.emulators.abb.motion import Pose
 
 @dataclass(frozen=True, slots=True)
 class CellFrames:
-    """Work object in the base, along its axes, and length of gripper and fingers from the flange to the TCP."""
+    """The work object in the base frame, along its axes, and the length from the flange to the TCP."""
 
     work_object_mm: Vector = (800.0, 0.0, 300.0)
     tool_length_mm: float = 260.0
 
     def in_base(self, pose: Pose) -> Pose:
-        """A work-object pose seen from the robot's base."""
+        """A work-object pose in the frame of the robot's base."""
         x, y, z = (at + origin for at, origin in zip(pose.position_mm, self.work_object_mm, strict=True))
         return Pose((x, y, z), pose.quaternion)
 

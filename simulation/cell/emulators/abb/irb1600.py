@@ -1,4 +1,4 @@
-"""Kinematics of the IRB 1600-6/1.45: joints for the feedback of the emulated controller.
+"""Kinematics of the IRB 1600-6/1.45: joint angles for the feedback of the emulated controller.
 
 Geometry from ABB's data sheet: shoulder 486.5 mm up and 150 mm out, upper arm 700 mm, forearm 600 mm (reach 1450 mm),
 wrist centre to flange 65 mm, spherical wrist. Zero: upper arm upright, forearm level, flange z along base x.
@@ -19,7 +19,7 @@ FLANGE_FRAME: Matrix = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
 
 
 class ReachError(ValueError):
-    """A pose that the arm cannot take."""
+    """A pose that the arm cannot reach."""
 
 
 def inverse(position_mm: Matrix, rotation: Matrix) -> tuple[float, ...]:

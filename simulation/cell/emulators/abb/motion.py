@@ -58,7 +58,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
-    """What the arm can do under guidance: lag of the controller, speed and acceleration, and its stop ramp."""
+    """Limits of the arm under guidance: lag of the controller, speed and acceleration, and its stop ramp."""
 
     lag_s: float = 0.020
     speed_mm_s: float = 250.0
@@ -92,7 +92,7 @@ def _braked(velocity: Vector, ramp: float, step_s: float) -> Vector:
 
 @dataclass(slots=True)
 class Follower:
-    """The arm: it follows ``target`` while ``braking`` is off and comes to rest on its ramp while it is on."""
+    """The arm: it follows ``target`` while ``braking`` is off and brakes to rest on its ramp while it is on."""
 
     pose: Pose
     limits: MotionLimits = field(default_factory=MotionLimits)
@@ -111,11 +111,11 @@ class Follower:
         return all(abs(v) < 1e-3 for v in self.velocity_mm_s) and all(abs(v) < 1e-6 for v in self.turn_rad_s)
 
     def hold(self) -> None:
-        """Forget the target and stand where the arm is now (after braking)."""
+        """Forget the target and hold the arm's present pose (after braking)."""
         self.target = self.pose
 
     def advance(self, elapsed_s: float) -> None:
-        """Move on by ``elapsed_s`` of real time, in steps of at most 2 ms."""
+        """Move for ``elapsed_s`` of real time, in steps of at most 2 ms."""
         while elapsed_s > 1e-9:
             step_s = min(_STEP_S, elapsed_s)
             self._step(step_s)

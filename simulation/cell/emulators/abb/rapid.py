@@ -1,8 +1,8 @@
-"""The controller without EGM: what TactileMotion.mod and TactileGuard.mod do, as two text servers on the cabinet's arm.
+"""The controller without EGM: TactileMotion.mod and TactileGuard.mod as two text servers on the cabinet's arm.
 
-Both live only while the RAPID program runs. A move walks the arm's target along a straight line; the stop flag, raised
-on request or by the guard's own dead man, halts it ``REACTION_S`` later on the controller's stop ramp. Time is the
-controller's, so a stalled machine stalls the arm too.
+Both live only while the RAPID program runs. A move walks the arm's target along a straight line. The stop flag, raised
+on request or by the guard's own dead-man switch, halts it ``REACTION_S`` later on the controller's stop ramp. Time is
+the controller's, so a stalled machine stalls the arm too.
 """
 
 import asyncio
@@ -19,13 +19,13 @@ from simulation.cell.emulators.abb.motion import Pose, rotated, rotation_between
 SILENCE_S = 0.1  # silenceLimit of TactileGuard.mod
 TOP_SPEED_MM_S = 80.0  # topSpeed and turnSpeed of TactileMotion.mod
 TURN_SPEED_RAD_S = math.radians(60.0)
-REACTION_S = 0.04  # from the flag to the brake: an assumption, the modules have run on no controller yet
+REACTION_S = 0.04  # from the flag to the brake: an assumption; the modules have not yet run on a controller
 _CYCLE_S = 0.004
 
 
 @dataclass(slots=True)
 class Travel:
-    """One move under way: from where to where, how long it takes, and how far it is."""
+    """One move under way: its ends, its duration and its length."""
 
     number: str
     start: Pose
@@ -77,7 +77,7 @@ class RapidServers:
     # ---- time -------------------------------------------------------------------------------------------------
 
     def cycle(self) -> None:
-        """Let 4 ms pass."""
+        """Advance by 4 ms."""
         if not self.cabinet.running:
             self.stop, self._travel = True, None
             self.hang_up()

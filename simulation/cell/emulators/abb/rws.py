@@ -66,7 +66,7 @@ async def _form(request: Request) -> dict[str, str]:
 
 
 class Gate:
-    """What stands before every resource: faults, digest access, sessions."""
+    """The checks before every resource: faults, digest access, sessions."""
 
     def __init__(self, board: FaultBoard, credentials: type[Digest] = Digest) -> None:
         self._board = board
@@ -75,7 +75,7 @@ class Gate:
         self.abort: Callable[[Any], None] = lambda _client: None
 
     def authorised(self, cookie: str | None, header: str | None, method: str) -> bool:
-        """True for a live session's cookie or a right digest."""
+        """True for a live session's cookie or a correct digest."""
         return (cookie is not None and cookie in self._sessions) or self._credentials.accepts(header, method)
 
     def admits(self, socket: WebSocket) -> bool:
@@ -177,7 +177,7 @@ def _add_panel(app: FastAPI, cabinet: Cabinet) -> None:
 
 
 def motors(cabinet: Cabinet, form: dict[str, str]) -> None:
-    """Switch the motors as a form says; raises ValueError, or RefusedError where the controller does not."""
+    """Switch the motors as the form says; raises ValueError, or RefusedError where the controller refuses."""
     wanted = form.get("ctrl-state")
     if wanted not in ("motoron", "motoroff"):
         raise ValueError(f"ctrl-state {wanted!r}, expected motoron or motoroff")
@@ -185,7 +185,7 @@ def motors(cabinet: Cabinet, form: dict[str, str]) -> None:
 
 
 def speed_ratio(cabinet: Cabinet, form: dict[str, str]) -> None:
-    """Set the speed as a form says; raises ValueError."""
+    """Set the speed as the form says; raises ValueError."""
     ratio = float(form.get("speed-ratio", "nan"))
     if not 0.0 <= ratio <= 100.0:
         raise ValueError(f"speed-ratio {ratio}, expected 0 to 100")
@@ -193,7 +193,7 @@ def speed_ratio(cabinet: Cabinet, form: dict[str, str]) -> None:
 
 
 def execute(cabinet: Cabinet, action: str, form: dict[str, str]) -> None:
-    """Start, stop or resetpp; raises ValueError, or RefusedError where the controller does not."""
+    """Start, stop or resetpp; raises ValueError, or RefusedError where the controller refuses."""
     if action == "start":
         if (cycle := form.get("cycle", "asis")) != "asis":
             cabinet.cycle = cycle

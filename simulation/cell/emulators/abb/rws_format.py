@@ -30,7 +30,7 @@ def as_json(base: str, states: Sequence[State]) -> bytes:
 
 
 def as_xhtml(base: str, states: Sequence[State]) -> bytes:
-    """The controller's XHTML: one list item a state, one span a field."""
+    """The controller's XHTML: one list item per state, one span per field."""
     return (
         '<?xml version="1.0" encoding="utf-8"?><html xmlns="http://www.w3.org/1999/xhtml"><head><title>rws</title>'
         f'<base href="{escape(base)}"/></head><body><div class="state">{_list(states)}</div></body></html>'
@@ -66,7 +66,7 @@ def error_body(code: int, message: str, *, wants_json: bool) -> bytes:
 
 
 def _md5(text: str) -> str:
-    return hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()  # RFC 7616's default, what the IRC5 speaks
+    return hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()  # RFC 7616's default, used by the IRC5
 
 
 class Digest:
@@ -78,7 +78,7 @@ class Digest:
         self._nonces: dict[str, None] = {}
 
     def challenge(self) -> str:
-        """A ``WWW-Authenticate`` value with a fresh nonce."""
+        """A ``WWW-Authenticate`` value with a new nonce."""
         nonce = secrets.token_hex(16)
         self._nonces[nonce] = None
         while len(self._nonces) > 500:
@@ -86,7 +86,7 @@ class Digest:
         return f'Digest realm="{REALM}", domain="/", qop="auth", nonce="{nonce}", opaque="rws", algorithm=MD5'
 
     def accepts(self, header: str | None, method: str) -> bool:
-        """True if an ``Authorization`` header proves the password for a nonce of ours."""
+        """True if an ``Authorization`` header proves the password for one of our nonces."""
         if not header or not header.lower().startswith("digest "):
             return False
         try:

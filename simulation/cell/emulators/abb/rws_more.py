@@ -1,4 +1,4 @@
-"""What foreign clients of Robot Web Services 1.0 ask for beyond this cell's own: users, files, modules, CFG, queues.
+"""RWS 1.0 resources that foreign clients use beyond this cell's own: users, files, modules, CFG, queues.
 
 Each route cites its page of ABB's reference (3HAC050973-001, by its name there). Files live in memory.
 """
@@ -39,7 +39,7 @@ class Disk:
         return new
 
     def listed(self, folder: str) -> list[State]:
-        """What lies in a folder; raises KeyError where nothing does."""
+        """The contents of a folder; raises KeyError where it holds nothing."""
         inside = {p: c for p, c in self.files.items() if p.rpartition("/")[0].lower() == folder.lower()}
         if not inside and folder.lower() not in {"$home", "$temp", ""}:
             raise KeyError(folder)
@@ -86,7 +86,7 @@ def _add_users(app: FastAPI, answer: Answer, media: str) -> None:
         asked[:] = [] if request.query_params.get("action") == "cancel" else ["modify"]
         return Response(status_code=202, media_type=media)
 
-    @app.get("/users/rmmp/poll")  # user_rmmp_poll_page: without a request there is none to poll
+    @app.get("/users/rmmp/poll")  # user_rmmp_poll_page: nothing to poll without a request
     async def poll(request: Request) -> Response:
         fields = {"status": "GRANTED"} if asked else {"code": NO_SUCH_REQUEST, "status": "NO SUCH REQUEST"}
         return answer(request, [State("user-rmmp-poll", "state", fields)])

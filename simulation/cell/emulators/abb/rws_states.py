@@ -1,4 +1,4 @@
-"""What the emulated controller answers to a GET: one function a family of resources, as typed states."""
+"""The emulated controller's answers to GET: one function per family of resources, as typed states."""
 
 from collections.abc import Mapping
 

@@ -1,6 +1,6 @@
 """Subscription Service (ABB's reference, 3HAC050973-001 rev M): a resource list becomes a WebSocket that sends changes.
 
-As on the controller they are slow: states are compared every 0.2 s. EGM and polling are quicker.
+As on the controller, subscriptions are slow: states are compared every 0.2 s. EGM and polling are faster.
 """
 
 import asyncio
