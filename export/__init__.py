@@ -1,1 +1,1 @@
-"""From checkpoint to verified ONNX file, and what each one costs on this machine."""
+"""From checkpoint to verified ONNX file, and its cost on this machine."""

@@ -1,4 +1,4 @@
-"""One run of training, read from one TOML file; every value that shapes a network is here and nowhere else."""
+"""One run of training, read from one TOML file, which holds every value that shapes a network."""
 
 from pathlib import Path
 from typing import Self
@@ -13,11 +13,11 @@ from training.networks.settings import FRAMES_PER_DECISION, NetworkConfig
 
 JITTER = 1
 WINDOW = FRAMES_PER_DECISION + 2 * JITTER
-"""Frames kept for each trial: one more on either side of the decision's eight, for onset jitter."""
+"""Frames kept per trial: one more on either side of the decision's eight, for onset jitter."""
 
 
 class DataConfig(Contract):
-    """Which trials are read. ``rendered`` bounds the training trials drawn as images (the costly part).
+    """Which trials are read. ``rendered`` limits the training trials drawn as images (the costly part).
 
     ``views``: cameras drawn for each training trial that is read as steps of depth.
     """
@@ -52,7 +52,7 @@ class LossConfig(Contract):
 
 
 class _Run(Contract):
-    """What every run has: a name, and where it writes."""
+    """Fields of every run: its name and its output folder."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")
     seed: int = Field(default=0, ge=0)
@@ -61,7 +61,7 @@ class _Run(Contract):
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """Read a TOML file; raise ContractError naming the file, the key that is wrong, and the nearest allowed one."""
+        """Read a TOML file; raise ContractError naming the file, the wrong key, and the nearest allowed one."""
         try:
             return cls.model_validate(read_toml(path))
         except OSError as error:
@@ -77,7 +77,7 @@ class _Run(Contract):
 class RunConfig(_Run):
     """A whole run: images to marker motion (front), marker motion to decision (trunk), both together (tune).
 
-    ``start_from`` is a checkpoint whose weights the run begins with instead of random ones.
+    ``start_from``: a checkpoint with the initial weights, instead of random ones.
     """
 
     start_from: str | None = None
@@ -90,7 +90,7 @@ class RunConfig(_Run):
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """As every run, and a kind of network that is unknown is refused with the nearest one."""
+        """As for every run; an unknown kind of network is refused with the nearest known one."""
         config = super().load(path)
         try:
             network_class(config.network.kind)
@@ -99,13 +99,13 @@ class RunConfig(_Run):
         return config
 
     def settings(self) -> dict[str, JsonValue]:
-        """All that shaped the network, for its card: no places of this machine, a start is named by its run."""
+        """All settings that shaped the network, for its card: no paths of this machine; a start is named by its run."""
         stated: dict[str, JsonValue] = self.model_dump(mode="json", exclude={"runs": True, "data": {"path", "cache"}})
         return stated | {"start_from": Path(self.start_from).parent.name if self.start_from else None}
 
 
 class RecipeConfig(_Run):
-    """One run of the recipe. Trials are those of each split, at most so many, chosen by the hash of their content."""
+    """One run of the recipe. Trials are those of each split, up to a maximum, chosen by the hash of their content."""
 
     data: str
     cache: str = "runs/cache"
@@ -119,20 +119,20 @@ class RecipeConfig(_Run):
     magnitude: StageConfig
 
     def settings(self) -> dict[str, JsonValue]:
-        """All that shaped the networks, for their card; places on this machine are left out."""
+        """All settings that shaped the networks, for their card; paths of this machine are omitted."""
         stated: dict[str, JsonValue] = self.model_dump(mode="json", exclude={"runs", "data", "cache", "imagenet"})
         return stated | {"imagenet": self.imagenet is not None}
 
 
 def refuse_another(folder: Path, config: Contract) -> None:
-    """Raise ContractError if a run with another config wrote into ``folder``: it cannot be continued."""
+    """Raise ContractError if a run with another config wrote into ``folder``: it cannot be resumed."""
     path = folder / "config.json"
     if path.exists() and path.read_text() != config.model_dump_json(indent=1):
         raise ContractError(f"{folder} belongs to a run with another config; expected a new name or an empty folder")
 
 
 def refuse_other_grounds(folder: Path, grounds: str) -> None:
-    """Raise ContractError if what ``folder`` holds was learnt from something else: ``grounds`` are hashes of it."""
+    """Raise ContractError if the contents of ``folder`` were learnt from other data: ``grounds`` are its hashes."""
     path = folder / "learnt_from.txt"
     if path.exists() and path.read_text() != grounds:
         what = "was trained on other data or from other weights"
@@ -140,7 +140,7 @@ def refuse_other_grounds(folder: Path, grounds: str) -> None:
 
 
 def pin(folder: Path, config: Contract, grounds: str) -> None:
-    """Claim ``folder`` for the run with this config and these grounds, which are written beside its weights."""
+    """Claim ``folder`` for the run with this config and these grounds, which are stored next to its weights."""
     refuse_another(folder, config)
     refuse_other_grounds(folder, grounds)
     (folder / "config.json").write_text(config.model_dump_json(indent=1))

@@ -1,1 +1,1 @@
-"""What a decision costs on this machine."""
+"""The cost of a decision on this machine."""

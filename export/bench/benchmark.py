@@ -32,7 +32,7 @@ def benchmark(
 ) -> Row:
     """Measure every file, write ``benchmark`` .md and .json into ``docs``; returns the report.
 
-    ``int8``: folder of both released fp32 step models, which are built in int8, too, to be compared on ``decisions``.
+    ``int8``: folder of both released fp32 step models, which are also built in int8 and compared on ``decisions``.
     ``alexnet``: folder of the paper's networks. Raises ContractError on a bad file.
     """
     models = [open_model(file) for file in files]
@@ -53,7 +53,7 @@ def benchmark(
 
 
 def measure(model: Model, seconds: float) -> Row:
-    """Size, first call and the cost of each further one of a file."""
+    """Size, first call and the cost of each further call of a file."""
     with undisturbed():
         timing, _ = time_in_turn({"": together([model])}, seconds=seconds)[""]
     size_mb = model.file.stat().st_size / 1e6
@@ -61,9 +61,9 @@ def measure(model: Model, seconds: float) -> Row:
 
 
 def precisions(folder: Path, out: Path, decisions: Sequence[Decision], seconds: float) -> list[Row]:
-    """One row a way to store the weights: all step models of a folder together, as a service runs them.
+    """One row per storage format of the weights: all step models of a folder together, as in the service.
 
-    A build that is refused has its reason instead of figures.
+    A refused build has its reason instead of figures.
     """
     sources = [open_model(file) for file in sorted(folder.glob("*.step.onnx"))]
     sets, refused = {"fp32": sources}, {}
@@ -86,5 +86,5 @@ def precisions(folder: Path, out: Path, decisions: Sequence[Decision], seconds: 
 
 
 def golden_decisions() -> list[Decision]:
-    """What calibrates and compares the int8 builds where no collected data is named: the speed is the same."""
+    """Decisions to calibrate and compare the int8 builds without collected data: the speed is the same."""
     return [Decision(golden_frames(Sensor.load().rectified, 8, seed), 56.0, 30.0) for seed in range(2)]

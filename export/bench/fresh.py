@@ -1,7 +1,7 @@
-"""A fresh process that opens one model: ``python -m export.bench.fresh FILE INPUTS`` prints load, first call, memory.
+"""A new process that opens one model: ``python -m export.bench.fresh FILE INPUTS`` prints load, first call, memory.
 
-What a model costs before its first answer cannot be measured in a process that already holds others, nor from one that
-has opened this one before: the inputs come from outside, as ``.npz``.
+The cost of a model before its first answer cannot be measured in a process that has opened it or others before. The
+inputs come from outside, as ``.npz``.
 """
 
 import json

@@ -49,7 +49,7 @@ def together(models: Sequence[Model]) -> Callable[[], Any]:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Keep this thread on the core it runs on and the collector of garbage away, as a cell's service is set up."""
+    """Pin this thread to its core and disable garbage collection, as in a cell's service."""
     cores, collecting = os.sched_getaffinity(0), gc.isenabled()
     os.sched_setaffinity(0, {max(cores)})
     gc.disable()

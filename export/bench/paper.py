@@ -1,4 +1,4 @@
-"""The paper's two AlexNet networks, the baseline of speed: a released step beside their whole sequence.
+"""The paper's two AlexNet networks as the baseline of speed: a released step against their whole sequence.
 
 Speed does not depend on weights, so without trained checkpoints random ones of the same shapes are exported, and the
 report says so.
@@ -14,16 +14,16 @@ from service.contract import ContractError
 SEQUENCES = ("direction.sequence.onnx", "magnitude.sequence.onnx")
 RANDOM = "random-weights"
 RELEASED_SHARE = 1 / 150
-"""At most this share of two fp32 AlexNet sequence passes may a released step take, in processor time."""
+"""Largest share of two fp32 AlexNet sequence passes that a released step may take, in processor time."""
 PASSES = "two fp32 passes"
 
 
 def compare(steps: list[Model], folder: Path, seconds: float) -> dict[str, Any]:
-    """Steps of the released networks over two fp32 AlexNet sequence passes.
+    """Ratios of the released networks' steps to two fp32 AlexNet sequence passes.
 
-    All are called in turn on one thread, each after an untimed call of its own; processor time, median and quartiles
-    of the ratios. A released step is that of all networks of one folder, as a service runs them. Raises ContractError
-    if ``folder`` holds a part of an export only.
+    All are called in turn on one thread, each after an untimed call of its own; processor time, median and quartiles of
+    the ratios. A released step is that of all networks of one folder, as in the service. Raises ContractError if
+    ``folder`` holds only a part of an export.
     """
     folders = sorted({model.file.parent for model in steps})
     sets = {str(home): [model for model in steps if model.file.parent == home] for home in folders}
@@ -41,7 +41,7 @@ def compare(steps: list[Model], folder: Path, seconds: float) -> dict[str, Any]:
 
 
 def exported(folder: Path) -> list[Path]:
-    """Files of an exported recipe; written with random weights if there is none, ContractError if there is a part."""
+    """Files of an exported recipe; written with random weights if there is none, ContractError if it is incomplete."""
     files = [folder / name for name in SEQUENCES]
     missing = [file for file in files if not file.is_file()]
     if missing and len(missing) < len(files):

@@ -14,19 +14,19 @@ from service.contract.text import fitted, read_by_somebody
 
 
 def _positive(**options: float) -> None:
-    """Raise ContractError, naming the option, where a duration or budget is not a finite number above 0."""
+    """Raise ContractError, naming the option, if a duration or budget is not a finite number above 0."""
     for name, value in options.items():
         if not 0 < value < math.inf:
             raise ContractError(f"--{name.replace('_', '-')} {value:g}: expected a finite number above 0")
 
 
 def onnx(checkpoint: Annotated[Path, tyro.conf.Positional], out: Path = Path("models"), force: bool = False) -> None:
-    """Write both networks in sequence and step form, each with its card, after proving parity with torch.
+    """Write both networks in sequence and step form, each with its card, after checking parity with torch.
 
     Args:
         checkpoint: a ``checkpoint.pt`` of ``python -m training train``.
         out: folder of the released models.
-        force: also where the directions are no better than guessed; the card says so.
+        force: export even if the directions are no better than guessing; the card says so.
     """
     from export.onnx.to_onnx import export_checkpoint, why_untrained
     from training.fit.checkpoint import Checkpoint
@@ -42,7 +42,7 @@ def verify(folder: Annotated[Path, tyro.conf.Positional] = Path("models"), strea
 
     Args:
         folder: folder of released models.
-        stream_steps: how many steps without a fresh state.
+        stream_steps: number of steps without resetting the state.
     """
     from export.onnx.verify import verify as check
 
@@ -59,16 +59,16 @@ def benchmark(
     int8: Path | None = None,
     alexnet: Path | None = None,
 ) -> None:
-    """Measure models on this machine: latency, memory, whether int8 pays, the paper's networks beside them.
+    """Measure models on this machine: latency, memory, whether int8 pays, and the paper's networks for comparison.
 
     Args:
-        models: ONNX files; all of models/ and its folders if none is named.
-        seconds: how long each measurement lasts.
+        models: ONNX files; default: all in models/ and its folders.
+        seconds: duration of each measurement.
         docs: folder of benchmark.md and benchmark.json.
-        data: collected dataset on whose collisions int8 is calibrated and compared; golden frames without one.
-        decisions: how many collisions.
-        int8: folder of released step models to build in int8, too.
-        alexnet: folder of the paper's networks as exported; made with random weights if absent.
+        data: collected dataset on whose collisions int8 is calibrated and compared; default: golden frames.
+        decisions: number of collisions.
+        int8: folder of released step models that are also built in int8.
+        alexnet: folder of the paper's exported networks; created with random weights if absent.
     """
     from export.bench.benchmark import benchmark as measure
     from export.onnx.decisions import read_split
@@ -81,7 +81,7 @@ def benchmark(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; wrong input is one line on standard error and exit code 2."""
+    """Run one command; invalid input gives one line on standard error and exit code 2."""
     try:
         commands: dict[str, Callable[..., Any]] = {
             "onnx": onnx,

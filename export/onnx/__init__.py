@@ -1,1 +1,1 @@
-"""Checkpoint to ONNX, and what a released file must withstand."""
+"""Checkpoint to ONNX, and the checks of a released file."""

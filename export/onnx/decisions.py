@@ -1,4 +1,4 @@
-"""Recorded collisions, and what two networks decide on them: the command of the paper's rule."""
+"""Recorded collisions, and the command that two networks give for them by the paper's rule."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -16,12 +16,12 @@ from training.data.dataset import SPLITS, open_source
 
 FRAMES = 8
 GAIN = 0.7
-"""A command is -0.7 of the estimate where class and estimate agree."""
+"""Where class and estimate agree, the command is this factor times the estimate."""
 
 
 @dataclass(frozen=True)
 class Decision:
-    """A recorded collision: ``frames`` uint8 [T, 2, H, W, 3] from the onset, the gap and how high it was grasped."""
+    """A recorded collision: ``frames`` uint8 [T, 2, H, W, 3] from the onset, the gap and the grasp height."""
 
     frames: NDArray[np.uint8]
     gap_width_mm: float
@@ -34,7 +34,7 @@ class Decision:
         return track_pairs(self.frames, self.sensor.markers, self.sensor.fps)
 
     def input_of(self, card: ModelCard) -> NDArray[Any]:
-        """The decision as a card's graph reads it."""
+        """The decision as the input of a card's graph."""
         return self.markers if card.markers else self.frames
 
 
@@ -48,9 +48,10 @@ def command(card: ModelCard, outputs: Arrays) -> NDArray[np.float64]:
 
 
 def read_split(path: str, split: str, count: int) -> Iterator[Decision]:
-    """``count`` collisions spread over a split of a dataset, drawn one at a time as they are needed.
+    """``count`` collisions spread over a split of a dataset, drawn one at a time on demand.
 
-    Raises ContractError at once on an unknown split or a ``count`` below 1, when drawing if the split has no collision.
+    Raises ContractError at once on an unknown split or a ``count`` below 1, and on drawing if the split has no
+    collision.
     """
     if split not in SPLITS:
         raise ContractError(f"no split {split!r}, expected one of {', '.join(SPLITS)}")
@@ -76,7 +77,7 @@ def _collided(trial: object, split: str) -> bool:
 
 
 def steps(model: Model, decisions: Sequence[Decision]) -> Iterator[Arrays]:
-    """Outputs of a step model after each frame of several decisions made together, one row a decision."""
+    """Outputs of a step model after each frame of several decisions in one batch, one row per decision."""
     rows = [geometry_inputs(model.card, 1, row.gap_width_mm, row.grasp_height_mm) for row in decisions]
     geometry = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
     frames = np.stack([decision.input_of(model.card) for decision in decisions])

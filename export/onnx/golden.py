@@ -31,7 +31,7 @@ def golden_frames(spec: FrameSpec, count: int, seed: int = 0) -> NDArray[np.uint
 
 
 def hard_frames(spec: FrameSpec, count: int) -> dict[str, NDArray[np.uint8]]:
-    """Inputs no camera should send but some day one will; each uint8 [count, 2, H, W, 3]."""
+    """Inputs that no camera should send but one eventually will; each uint8 [count, 2, H, W, 3]."""
     shape = (count, 2, *spec.shape)
     still = np.repeat(golden_frames(spec, 1), count, axis=0)
     spark = still.copy()
@@ -65,7 +65,7 @@ def golden_markers(spec: MarkerSpec | Lattice, count: int, seed: int = 0) -> NDA
 
 
 def hard_markers(spec: MarkerSpec | Lattice, count: int) -> dict[str, NDArray[np.float32]]:
-    """Fields no tracker should give but some day one will; each float32 [count, 2, rows, columns, 3]."""
+    """Fields that no tracker should give but one eventually will; each float32 [count, 2, rows, columns, 3]."""
     still = np.repeat(golden_markers(spec, 1), count, axis=0)
     spark, torn = still.copy(), still.copy()
     spark[1:, 0, spec.rows // 2, spec.columns // 2, 0] = 100.0
@@ -85,7 +85,7 @@ def _grid(card: ModelCard) -> MarkerSpec | Lattice | None:
 
 
 def golden_input(card: ModelCard, seed: int = 0) -> NDArray[Any]:
-    """A golden decision as the card's graph reads it: [frames_per_decision, 2, *input_shape]."""
+    """A golden decision as the input of the card's graph: [frames_per_decision, 2, *input_shape]."""
     if grid := _grid(card):
         return golden_markers(grid, card.frames_per_decision, seed)
     return golden_frames(card.frame, card.frames_per_decision, seed)

@@ -1,4 +1,4 @@
-"""An opened model file: its card, and a call that checks what it is given."""
+"""An opened model file: its card, and a call that checks its inputs."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class Model:
 
     @property
     def tolerance(self) -> float:
-        """How far two equal computations may differ."""
+        """Largest allowed difference of two equal computations."""
         return TOLERANCE if self.card.quantisation == "none" else INT8_TOLERANCE
 
     @cached_property
@@ -67,9 +67,9 @@ def open_model(file: Path, threads: int = 1) -> Model:
 
 
 def steps(model: Model, frames: NDArray[Any], count: int, geometry: Arrays | None = None) -> Iterator[Arrays]:
-    """Outputs of a step model after each of ``count`` steps from a fresh state.
+    """Outputs of a step model after each of ``count`` steps from a zero state.
 
-    ``frames`` [B, T, 2, ...] come round again, the first is the reference; ``geometry``: the usual one unless given.
+    ``frames`` [B, T, 2, ...] repeat cyclically, the first is the reference; ``geometry``: the default one unless given.
     """
     state = np.zeros((len(frames), model.card.state_size), np.float32)
     conditions = geometry_inputs(model.card, len(frames)) if geometry is None else geometry
@@ -81,7 +81,7 @@ def steps(model: Model, frames: NDArray[Any], count: int, geometry: Arrays | Non
 
 
 def geometry_inputs(card: ModelCard, batch: int, gap_width_mm: float = 56.0, grasp_height_mm: float = 30.0) -> Arrays:
-    """Gap width and grasp height, float32 [batch, 1] each, as far as the network reads them, and other conditions."""
+    """Gap width and grasp height, float32 [batch, 1] each, and other conditions, as far as the network reads them."""
     geometry = {"gap_width_mm": gap_width_mm} if card.gap_width_input else {}
     geometry |= {"grasp_height_mm": grasp_height_mm} if card.grasp_height_input else {}
     inputs: Arrays = {name: np.full((batch, 1), value, np.float32) for name, value in geometry.items()}

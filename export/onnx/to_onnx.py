@@ -1,4 +1,4 @@
-"""Checkpoint -> ONNX: two roles in two forms, the card attached last, parity proved before a file is kept."""
+"""Checkpoint -> ONNX: two roles in two forms, the card attached last, parity checked before a file is kept."""
 
 import logging
 import math
@@ -30,11 +30,11 @@ from training.networks.preprocessing import CHANNELS, selector
 from training.networks.settings import FRAMES_PER_DECISION
 
 TOLERANCE, STATE_TOLERANCE = 1e-5, 1e-4
-"""Of what is answered, and of the state that only the next step reads: torch itself rounds it by up to 1e-5."""
-IR, OPSET = 8, 18  # the graphs need no newer form; onnxruntime 1.17 and all since read it
+"""Tolerances of the outputs, and of the state that only the next step reads: torch itself rounds it by up to 1e-5."""
+IR, OPSET = 8, 18  # onnxruntime 1.17 and later read them; the graphs need no newer form
 FLOAT = onnx.TensorProto.FLOAT
 LARGEST_SHARED = 10**7
-"""Constants of up to this many elements are stored once, however often the graph names them."""
+"""Constants of up to this many elements are stored only once, however often the graph uses them."""
 Form = Literal["sequence", "step"]
 FORMS: tuple[Form, Form] = ("sequence", "step")
 OUTPUTS: dict[Role, list[str]] = {
@@ -49,8 +49,8 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
     """Write ``<role>.<form>.onnx`` of every role and form, or of those in ``only``; ContractError if any parity fails.
 
     The two networks go to ``out``, the joint density to ``out/joint``, and both networks in one step graph to
-    ``out/pair``, of networks that read depth to ``out`` itself: a service loads one folder and decides with it. Torch
-    and ONNX, and step and sequence, agree to 1e-5.
+    ``out/pair`` (for networks that read depth, to ``out`` itself): a service loads one folder and decides with it.
+    Torch and ONNX, and step and sequence, agree to 1e-5.
     """
     checkpoint = Checkpoint.load(path)
     network = checkpoint.build()
@@ -70,7 +70,7 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
 
 
 def why_untrained(checkpoint: Checkpoint) -> str:
-    """Why a checkpoint's directions may as well be guessed, by its own validation; empty for a trained one."""
+    """Why a checkpoint's directions are no better than guessing on its own validation; empty for a trained one."""
     figures = checkpoint.figures.get("validation/all", {})
     if not {"accuracy", "chance", "trials"} <= figures.keys():
         return "its directions were never validated"
@@ -88,7 +88,7 @@ def _home(out: Path, name: str, beside: tuple[str, ...]) -> Path:
 
 
 def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> ModelCard:
-    """The card of one file: figures of the validation split, all objects; of a network that guesses it says so."""
+    """The card of one file: figures of the validation split, all objects; it says so if the network only guesses."""
     why = why_untrained(checkpoint)
     joint = role == "joint"
     scales = checkpoint.joint_scales if joint else checkpoint.scales
@@ -160,16 +160,16 @@ def _export(network: Any, checkpoint: Checkpoint, role: Role, form: Form, file: 
             verbose=False,
         )
     assert program is not None
-    DeduplicateInitializersPass(LARGEST_SHARED)(program.model)  # both frames are summed by the same matrix
+    DeduplicateInitializersPass(LARGEST_SHARED)(program.model)  # the same matrix sums both frames
     program.save(str(file))
     _check_parity(wrapped, example, file)
     attach_card(file, make_card(checkpoint, role, form, network))
 
 
 def _block_sums(frames: Any, block: int) -> Any:
-    """:func:`training.networks.preprocessing.block_sums` as one product of integers: exact on every processor.
+    """:func:`training.networks.preprocessing.block_sums` as one integer product: exact on every processor.
 
-    The matrix for a block's rows is written as one row's and laid out when the file is loaded.
+    The matrix for a block's rows is written as one row's and expanded when the file is loaded.
     """
     height, width = (int(size) for size in frames.shape[1:3])
     rows, columns = height // block, width // block
@@ -196,7 +196,7 @@ def _check_parity(wrapped: nn.Module, example: dict[str, torch.Tensor], file: Pa
 
 
 def attach_card(file: Path, card: ModelCard) -> None:
-    """Write the card into the file's metadata, with what the network says of the self-test: its last change."""
+    """Write the card, with the network's self-test answers, into the file's metadata, as the file's last change."""
     run = session(file)
     names = [output.name for output in run.get_outputs()]
     tested = make_self_test(card, lambda inputs: dict(zip(names, run.run(names, inputs), strict=True)))
@@ -205,6 +205,6 @@ def attach_card(file: Path, card: ModelCard) -> None:
     onnx.helper.set_model_props(model, card.model_copy(update={"self_test": tested}).to_props())
     model.ir_version = min(model.ir_version, IR)
     for part in (model.graph, *model.graph.node, *model.graph.value_info, *model.graph.input, *model.graph.output):
-        del part.metadata_props[:]  # traces of the exporter, which older forms do not know
+        del part.metadata_props[:]  # traces of the exporter, which older formats do not know
     onnx.save(model, str(file))
     open_model(file)

@@ -16,11 +16,11 @@ LARGEST_OUTPUT = 1e4
 OPSET = 20  # the newest that onnxruntime 1.17 reads
 STREAM_STEPS = 10_000
 CROWD = {"step": 64, "sequence": 8}
-"""Batch against which a single decision is compared; 64 whole sequences would take gigabytes."""
+"""Batch with which a single decision is compared; 64 whole sequences would take gigabytes."""
 
 
 def run_steps(model: Model, frames: NDArray[Any]) -> Arrays:
-    """What a step model gives in the end for frames [B, T, 2, H, W, 3], the first one being the reference."""
+    """Final output of a step model for frames [B, T, 2, H, W, 3], the first one being the reference."""
     *_, outputs = steps(model, frames, frames.shape[1])
     return outputs
 
@@ -34,7 +34,7 @@ def decide(model: Model, frames: NDArray[Any]) -> Arrays:
 
 
 def verify(folder: Path, stream_steps: int = STREAM_STEPS) -> list[str]:
-    """Verify every model of a folder; one line a check, ContractError on the first that fails."""
+    """Verify every model of a folder; one line per check, ContractError on the first failure."""
     files = sorted(folder.glob("*.onnx"))
     if not files:
         raise ContractError(f"no .onnx file in {folder}; export with `python -m export onnx CHECKPOINT`")
@@ -80,7 +80,7 @@ def verify_model(model: Model, stream_steps: int = STREAM_STEPS) -> list[str]:
 
 
 def _batch_gap(model: Model, frames: NDArray[Any], crowd: int) -> float:
-    """Difference of a decision alone and as one row among other ones; of a step model, its last step."""
+    """Difference of a decision alone and as one row of a batch; for a step model, of its last step."""
     place = crowd // 2
     if model.card.form == "sequence":
         rows = np.stack([np.roll(frames[0], row - place, axis=-2) for row in range(crowd)])
@@ -96,7 +96,7 @@ def _batch_gap(model: Model, frames: NDArray[Any], crowd: int) -> float:
 
 
 def _verify_states(model: Model, frames: NDArray[Any]) -> str:
-    """Recurrent states that no run reaches: +-1e4 (and so logits of that order), and denormals, which equal zero."""
+    """Recurrent states that no run reaches: +-1e4 (and thus logits of that order), and denormals, which equal zero."""
     outputs = {}
     states = {"zeros": 0.0, "denormals": 1e-40, "+1e4": 1e4, "-1e4": -1e4}
     for name, value in states.items():
@@ -112,7 +112,7 @@ def _verify_states(model: Model, frames: NDArray[Any]) -> str:
 
 
 def _verify_stream(model: Model, frames: NDArray[Any], count: int) -> str:
-    """Bounded at every one of many steps without a fresh state."""
+    """Outputs stay bounded at every one of many steps without resetting the state."""
     for outputs in steps(model, frames, count):
         _bounded(model, f"stream of {count} steps", outputs)
     return f"bounded at every step of a stream of {count}"
@@ -125,7 +125,7 @@ def _bounded(model: Model, what: str, outputs: Arrays) -> None:
 
 
 def verify_forms(models: list[Model]) -> list[str]:
-    """Step and sequence form of one network agree; one line a pair, ContractError if not."""
+    """Step and sequence form of one network agree; one line per pair, ContractError if not."""
     lines = []
     for step in (model for model in models if model.card.form == "step"):
         same = [m for m in models if m.card.form == "sequence" and m.card.name == step.card.name]
@@ -139,7 +139,7 @@ def verify_forms(models: list[Model]) -> list[str]:
 
 
 def _gap(one: NDArray[Any], other: NDArray[Any]) -> float:
-    """Largest difference, relative to the output where it exceeds one: a log density reaches hundreds."""
+    """Largest difference, relative to the output where that exceeds one: a log density reaches hundreds."""
     return float(np.abs(one - other).max() / max(1.0, np.abs(other).max()))
 
 

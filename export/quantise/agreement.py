@@ -1,4 +1,4 @@
-"""How many robot commands of two builds of a network are the same."""
+"""Share of equal robot commands between two builds of a network."""
 
 from collections.abc import Sequence
 
@@ -18,7 +18,7 @@ def same_commands(source: Sequence[Model], build: Sequence[Model], decisions: Se
 
 
 def _command(models: Sequence[Model], decision: Decision) -> NDArray[np.float64]:
-    """Of one decision alone: dynamic int8 takes its scales from the whole batch."""
+    """The command of one decision alone: dynamic int8 takes its scales from the whole batch."""
     outputs: Arrays = {}
     for model in models:
         *_, last = steps(model, [decision])

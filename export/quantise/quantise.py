@@ -1,8 +1,8 @@
 """int8 builds of a released step model by ONNX Runtime's own quantiser.
 
-``static`` multiplies in int8 with scales from calibration decisions, ``dynamic`` with scales of every call;
-``blocked`` stores the weights of the fully connected and recurrent layers in blocks of 16 that share a scale. Which of
-them pay is what ``python -m export benchmark --int8`` shows, by the robot commands that they would change.
+``static`` multiplies in int8 with scales from calibration decisions, ``dynamic`` with scales of every call. ``blocked``
+stores the weights of the fully connected and recurrent layers in blocks of 16 that share a scale. ``python -m export
+benchmark --int8`` shows which of them pay, by the robot commands that they would change.
 """
 
 import logging
@@ -28,13 +28,13 @@ LAYERS = ("Conv", "Gemm")
 CALIBRATION_DECISIONS = 16
 BLOCK = 16
 ACCUMULATE_INT8 = 4
-"""``accuracy_level`` of MatMulNBits: inputs are rounded to int8, block by block, when they arrive."""
+"""``accuracy_level`` of MatMulNBits: inputs are rounded to int8, block by block, on arrival."""
 FAR_OFF = 0.25
-"""Of the outputs' size: an int8 build that is further off than this computes something else."""
+"""Share of the outputs' size: an int8 build that differs by more computes something else."""
 
 
 class FarOffError(ContractError):
-    """An int8 build that computes something else on this processor."""
+    """An int8 build computes something else on this processor."""
 
 
 class _Calibration(CalibrationDataReader):  # type: ignore[misc]
@@ -58,7 +58,7 @@ def quantise(file: Path, out: Path, decisions: Sequence[Decision], mode: Mode = 
     graph = onnx.load(str(file))
     if not any(node.op_type in LAYERS for node in graph.graph.node):
         raise ContractError(f"{file.name} holds no layer with weights")
-    del graph.graph.value_info[:]  # the quantiser transposes weights and would find their old shapes there
+    del graph.graph.value_info[:]  # the quantiser transposes weights and would find stale shapes there
     out.parent.mkdir(parents=True, exist_ok=True)
     with _quiet():
         _build(graph, out, mode, _Calibration(feeds(model, decisions)))
@@ -68,7 +68,7 @@ def quantise(file: Path, out: Path, decisions: Sequence[Decision], mode: Mode = 
 
 
 def _build(graph: Any, out: Path, mode: Mode, calibration: _Calibration) -> None:
-    # with weights of seven bits, for processors without VNNI add two products of eight in 16 bits, which overflow
+    # with seven-bit weights: without VNNI, processors add two products of eight bits in 16 bits, which overflow
     if mode == "static":
         options = {"op_types_to_quantize": list(LAYERS), "per_channel": True, "reduce_range": True}
         quantize_static(graph, out, calibration, **options)
@@ -87,7 +87,7 @@ def _build(graph: Any, out: Path, mode: Mode, calibration: _Calibration) -> None
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """The quantiser logs every node, and advises on the root logger to prepare a graph that needs no preparing."""
+    """Silence the quantiser, which logs every node and advises preparing a graph that needs no preparation."""
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)
     try:
@@ -97,7 +97,7 @@ def _quiet() -> Iterator[None]:
 
 
 def feeds(model: Model, decisions: Sequence[Decision]) -> Iterator[Arrays]:
-    """The inputs of every step of every decision, with the recurrent state that belongs to it."""
+    """The inputs of every step of every decision, with the matching recurrent state."""
     for decision in decisions:
         frames = decision.input_of(model.card)
         state = np.zeros((1, model.card.state_size), np.float32)
@@ -109,7 +109,7 @@ def feeds(model: Model, decisions: Sequence[Decision]) -> Iterator[Arrays]:
 
 
 def refuse_far_off(model: Model, build: Model, decisions: Sequence[Decision]) -> None:
-    """Raise FarOffError on a build whose outputs are far off: saturation shows as errors of the size of the outputs."""
+    """Raise FarOffError on a build whose outputs are far off: saturation causes errors of the outputs' own size."""
     gap, size = dict[str, float](), dict[str, float]()
     for inputs in feeds(model, decisions):
         expected, actual = model(inputs), build(inputs)

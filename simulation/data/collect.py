@@ -64,7 +64,7 @@ class Plan:
         return shard_file_name(self.scene_name, self.shard)
 
     def group_id(self, number: int) -> int:
-        """A number no other re-fixture of the collection has; wherever a scene's TOML file lies, it is the same."""
+        """A number unique to this re-fixture in the collection, wherever the scene's TOML file lies."""
         object_id = int(hashlib.sha256(Path(self.scene_name).stem.encode()).hexdigest()[:6], 16)
         return (object_id * _SHARDS_PER_OBJECT + self.shard) * _GROUPS_PER_SHARD + number
 
@@ -141,10 +141,10 @@ class Hand:
     def __init__(self, fixture: Fixture, mechanics: Callable[[Scene, int], Cell] = QuasiStaticCell) -> None:
         self._cell = mechanics(fixture.scene, fixture.cell_seed)
         self._cell.regrasp(0.0, 0.0)
-        self._zero = self._cell.pose.copy()  # TCP x, y, z (mm) and yaw (rad) that put the fresh object at no error
+        self._zero = self._cell.pose.copy()  # TCP x, y, z (mm) and yaw (rad) of a newly fixtured object at zero error
 
     def aim(self, x_mm: float, theta_deg: float) -> None:
-        """Hand over the gap where a freshly fixtured object would have this error; the one in hand has drifted."""
+        """Move over the gap to where a newly fixtured object would have this error; the held one has drifted."""
         x, y, z, yaw = (float(value) for value in self._zero)
         self._cell.move_to(x + x_mm, y, z, math.degrees(yaw) + theta_deg)
 

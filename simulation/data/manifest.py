@@ -29,7 +29,7 @@ class ShardEntry(Contract):
 
     @property
     def order(self) -> tuple[str, str]:
-        """Shards are listed by number first: objects stay mixed, and a larger collection begins with the smaller."""
+        """Shards are sorted by number first: objects stay mixed, and a larger collection starts with the smaller."""
         return self.name.rpartition("-")[2], self.name
 
     @classmethod

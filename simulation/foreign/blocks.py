@@ -246,7 +246,7 @@ class Bodies:
             self.block_place[b] += (x, y, z)
 
     def motion_since(self, before: Grip, after: Grip) -> Array:
-        """The motion [k] that `move` needs to come from one state to the other; the blocks' since the step began."""
+        """The motion [k] by which `move` goes from one state to the other; the blocks' since the step began."""
         out = np.zeros(self.count)
         turn = after.turn @ before.turn.T
         out[:3], out[3:6] = after.place - turn @ before.place, rotation_vector(turn)

@@ -194,7 +194,7 @@ class Step:
         return total
 
     def _share_of(self, motion: Array, left: Array, rest: Array, matrix: Array) -> tuple[float, Push]:
-        """Move by as much of a motion as leaves no more to do than before, or else by all of it; what acts there."""
+        """Move by the share of a motion that does not raise the residual, else by all of it; returns the push there."""
         drive, grip = self.drive, self.grip
         at, memory = self.grip.copy(), drive.memory()
         work, before, share = float(left @ motion), drive.weight(left), 1.0

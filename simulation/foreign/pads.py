@@ -72,7 +72,7 @@ class Planes(NamedTuple):
 
 
 class NodeTerms(NamedTuple):
-    """What a state asks of its nodes: forces [n, 3] on the gel, N, hand frame, and by node the friction law's terms."""
+    """A state's terms at its nodes: forces [n, 3] on the gel, N, hand frame, and the terms of the friction law."""
 
     forces: Array
     normal: Array  # [n, 3], hand frame

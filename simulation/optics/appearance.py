@@ -1,4 +1,4 @@
-"""How one finger of one cell looks: every number of its optics, drawn once, kept beside the data, read back exactly."""
+"""Appearance of one finger of one cell: all numbers of its optics, drawn once, stored with the data, read exactly."""
 
 import dataclasses
 from dataclasses import dataclass, field

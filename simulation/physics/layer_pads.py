@@ -29,7 +29,7 @@ MAX_ROUNDS, DEPTH = 150, 8
 
 
 class Anderson:
-    """Anderson mixing of a fixed-point iteration (Walker and Ni 2011), restarted whenever the residual grows."""
+    """Anderson mixing of a fixed-point iteration (Walker and Ni 2011), restarted at twice its best residual."""
 
     def __init__(self) -> None:
         self._points: list[Array] = []

@@ -17,9 +17,9 @@ Array = NDArray[np.float64]
 
 TERMS = 60  # odd sines along each axis
 FREE_FACE, FACE_WITHIN = 0.35, 0.8
-"""In a gel that goes on beyond the contact, pressure is borne FREE_FACE thicknesses beyond it; nearly all of that is
-reached where the gel goes on by FREE_FACE thicknesses. Least squares on the layer tier's stiffness over thickness 1.5
-.. 4 mm and nu 0.4 .. 0.495, 5 % at worst.
+"""In a gel that goes on beyond the contact, pressure is borne at most FREE_FACE thicknesses further, approached
+exponentially over FACE_WITHIN thicknesses of margin. Least squares on the layer tier's stiffness over thickness 1.5 to
+4 mm and nu 0.4 to 0.495, 5 % at worst.
 """
 
 

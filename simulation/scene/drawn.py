@@ -208,7 +208,7 @@ def _drawn_corners(rng: np.random.Generator, x_mm: float, y_mm: float) -> NDArra
 
 
 def _laid_on_its_edges(corners: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """The polygon turned so that one of its edges lies along x, for each of them: its least width is across one."""
+    """The polygon turned so that an edge lies along x, for each edge: its least width is across one of them."""
     for along_x, along_y in np.roll(corners, -1, axis=0) - corners:
         cosine, sine = np.array([along_x, along_y]) / np.hypot(along_x, along_y)
         yield corners @ np.array([[cosine, -sine], [sine, cosine]])

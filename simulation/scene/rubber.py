@@ -37,7 +37,7 @@ def flow_length(poisson: float) -> float:
 
 
 def reach_in_thicknesses(poisson: float) -> float:
-    """How far off a layer's load is not felt any more: exp(-pi / 2) a thickness, exp(-1) a flow length, to 0.2 %."""
+    """Distance at which a layer's load has no effect: exp(-pi / 2) per thickness, exp(-1) per flow length, to 0.2 %."""
     return min(max(4.0, 6.2 * flow_length(poisson)), 24.0)
 
 

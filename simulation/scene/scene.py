@@ -116,7 +116,7 @@ class Scene(Part):
 
     @property
     def full_depth_mm(self) -> float:
-        """How far a descent goes that inserts: from the approach into the gap, and clearly deeper than what counts."""
+        """Depth of a descent that inserts: from the approach into the gap, and clearly beyond the required depth."""
         return APPROACH_MM + self.blocks.insertion_depth_mm + 5.0
 
     @property

@@ -1,1 +1,1 @@
-"""A released network becomes one of a cell: fitted in stages, accepted only where held-out fixtures show it better."""
+"""Adapts a released network to one cell: fitted in stages, accepted only if better on held-out fixtures."""

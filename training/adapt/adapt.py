@@ -1,4 +1,4 @@
-"""The stage that suits a cell, judged on fixtures that it was not fitted to, and whether it may replace the release."""
+"""Choose the stage that suits a cell, on held-out fixtures, and decide whether it may replace the release."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
@@ -41,7 +41,7 @@ Held = dict[StageName, tuple[Predictions, Densities]]
 
 @dataclass(frozen=True)
 class Comparison:
-    """Every stage on held-out fixtures, the best of them, and what keeps it from replacing the release."""
+    """Every stage on held-out fixtures, the best of them, and the objections to replacing the release."""
 
     figures: dict[StageName, Figures]
     best: StageName
@@ -56,7 +56,7 @@ class Comparison:
         return self.best != "released" and not self.objections
 
     def text(self) -> str:
-        """The table and the answer, for a terminal."""
+        """The table and the verdict, for a terminal."""
         rows = [{"stage": stage, **row} for stage, row in self.figures.items()]
         columns = (
             ("stage", "stage"),
@@ -117,7 +117,7 @@ def presses_around(path: Path, release: Checkpoint, out: Path) -> Pressed:
 def hold_out(
     release: Checkpoint, samples: Pressed, stages: tuple[StageName, ...], seed: int, presses: Pressed | None = None
 ) -> Held:
-    """What each stage says of fixtures that it was not fitted to; of too few samples nothing."""
+    """Each stage's predictions on held-out fixtures; empty if there are too few samples."""
     groups = samples.groups[samples.objects != LATER]
     if len(groups) < FEWEST or len(np.unique(groups)) < FOLDS:
         return {}
@@ -125,9 +125,9 @@ def hold_out(
 
 
 def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Comparison:
-    """Compare what all stages said of held-out fixtures; every count is compared with the release's in pairs.
+    """Compare all stages' predictions on held-out fixtures; every count is compared with the release's in pairs.
 
-    The best is the likeliest that nothing speaks against; where there is none, the likeliest.
+    The best is the likeliest stage without objections; if there is none, the likeliest.
     """
     first = samples.objects != LATER
     groups = samples.groups[first]
@@ -151,7 +151,7 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
 
 
 def _fair(stage: StageName, release: Checkpoint, predictions: Predictions, folds: list[Rows]) -> Predictions:
-    """Calibrated predictions, each fold of the fixtures by the others: none by a fit that it was part of."""
+    """Calibrated predictions, each fold of the fixtures by the others: no fit calibrates its own samples."""
     if stage == "released":
         return predictions.rescaled(release.scales)
     parts = []
@@ -171,7 +171,7 @@ def _fitted(
     seed: int,
     presses: Pressed | None,
 ) -> Checkpoint:
-    """The release after the accepted stage on all samples, calibrated on what was said of ``held`` out ones."""
+    """The release after the accepted stage on all samples, calibrated on the predictions ``held`` out."""
     pair, joint = (predictions.take(samples.objects != LATER) for predictions in held)
     around = comparison.best == "around"
     rows = np.arange(len(samples))
@@ -205,7 +205,7 @@ def _losses(predictions: Predictions) -> NDArray[np.float64]:
 
 
 def _objections(before: Predictions, after: Predictions, groups: NDArray[np.str_], seed: int) -> Iterable[str]:
-    """What speaks against a replacement: the gain by a paired bootstrap over fixtures, each count on its mean."""
+    """Objections to a replacement: the gain by a paired bootstrap over fixtures, each count by its mean."""
     fixtures = np.unique(groups, return_inverse=True)[1]
     counts: dict[str, Callable[[Predictions], NDArray[np.float64]]] = {
         "direction": lambda one: (one.logits.argmax(1) != class_of(one.truth.astype(np.float32))).astype(np.float64),
@@ -239,5 +239,5 @@ def _means(values: NDArray[np.float64], fixtures: NDArray[np.int64], seed: int) 
 
 
 def report(comparison: Comparison) -> dict[str, object]:
-    """The answer as plain data."""
+    """The verdict as plain data."""
     return {**asdict(comparison), "accepted": comparison.accepted}

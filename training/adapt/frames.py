@@ -1,8 +1,8 @@
-"""Where the gap truly is in the frame that the arm was taught, as probes to both sides of it tell.
+"""The gap's true position in the frame taught to the arm, from probes on both sides of it.
 
-A probe's error is told in the arm's frame. Where the tool or the fixture is off, all of them are off by as much, and a
-network that learnt them would steer every part beside the gap. The release answers alike to either side, so what it
-takes for no error is the gap.
+A probe's error is stated in the arm's frame. If the tool or the fixture is off, all of them are off by the same amount,
+and a network that learnt them would steer every part beside the gap. The release answers symmetrically on both sides,
+so the error at which it answers zero is the gap.
 """
 
 from dataclasses import replace
@@ -15,14 +15,14 @@ from training.data.episodes import PROBE
 from training.data.pressed import Pressed
 
 USUAL = np.array([2.0, 2.0])
-"""By how much tools and fixtures are off as a rule, one sigma: mm, deg."""
+"""Usual errors of tools and fixtures, one sigma: mm, deg."""
 LEAST_GAIN = 0.3
-"""Of the release in a cell: where it feels less of an error, it does not say where the gap is."""
+"""Least slope of the release's answers in a cell: below it, they do not determine the gap."""
 LEAST_N = 8
 
 
 class Gap(NamedTuple):
-    """Where the gap is in the taught frame (mm, deg), one sigma of it, and how many probes tell it."""
+    """The gap's position in the taught frame (mm, deg), one sigma of it, and the number of probes behind it."""
 
     at: tuple[float, float]
     sigma: tuple[float, float]
@@ -51,7 +51,7 @@ def find_gap(stated: NDArray[np.float64], estimates: NDArray[np.float64]) -> Gap
 
 
 def framed(samples: Pressed, estimates: NDArray[np.float64]) -> tuple[Pressed, Gap]:
-    """The samples with the errors of probes from where the gap is; ``estimates`` [N, 2] are the release's."""
+    """The samples with the probes' errors relative to the gap; ``estimates`` [N, 2] are the release's."""
     probes = samples.objects == PROBE
     gap = find_gap(samples.error[probes].astype(np.float64), estimates[probes])
     error = samples.error - np.where(probes[:, None], gap.at, 0.0).astype(np.float32)

@@ -1,7 +1,7 @@
-"""What may change when a network is fitted to a cell, from a few numbers to all weights; each is calibrated anew.
+"""The stages of fitting a network to a cell, from a few numbers to all weights; each is calibrated afterwards.
 
-Few probes say little: every stage is pulled to the release, the scales as by so many further samples, the weights by
-their squared distance (L2-SP, Li et al. 2018).
+A few probes carry little information, so every stage is pulled to the release: the scales as by a number of further
+samples, the weights by their squared distance (L2-SP, Li et al. 2018).
 """
 
 from typing import Literal
@@ -25,16 +25,16 @@ Rows = NDArray[np.int64]
 StageName = Literal["released", "calibration", "gain", "all", "around"]
 STAGES: tuple[StageName, ...] = ("released", "calibration", "gain", "all", "around")
 PULL_N, WEIGHTS_PULL_N, SCALES_PULL_N = 20, 5, 5
-"""Samples that the release counts for, against those of the cell: in gains, in weights, and in the few scales."""
+"""Weight of the release in samples of the cell: in gains, in weights, and in the few scales."""
 MOST_EPOCHS, SAMPLES_N = 60, 9000
-"""Epochs of few samples, and how often samples are seen in all where there are many; 18 epochs at least."""
+"""Epochs with few samples, and total passes over samples with many; at least 18 epochs."""
 FOLDS = 5
 BATCH, RATE = 32, 1e-3
 _OF_DENSITIES = ("log_density", "truth", "objects")
 
 
 def trainer_of(network: Decider, samples: Pressed) -> Trainer:
-    """What computes losses and predictions of a network on samples."""
+    """The trainer that computes losses and predictions of a network on samples."""
     config = RunConfig(name="adapt", data=DataConfig(path="-"), trunk=StageConfig(epochs=0))
     return Trainer(config, samples, network, torch.ones(len(CLASSES)), torch.zeros(2, 3))
 
@@ -42,7 +42,7 @@ def trainer_of(network: Decider, samples: Pressed) -> Trainer:
 def held_out(
     stage: StageName, release: Checkpoint, samples: Pressed, seed: int, presses: Pressed | None = None
 ) -> tuple[Predictions, Densities]:
-    """What a stage says of each sample, fitted without its fixture; not calibrated."""
+    """A stage's prediction of each sample, fitted without its fixture; not calibrated."""
     if stage == "around":
         trainer = trainer_of(fit_around(release, presses, seed), samples)
         rows = np.arange(len(samples))
@@ -61,7 +61,7 @@ def held_out(
 
 
 def folds_of(groups: NDArray[np.str_], seed: int) -> list[Rows]:
-    """Rows of each fold; a fixture is never torn apart."""
+    """Rows of each fold; a fixture is never split."""
     names = np.unique(groups)
     np.random.default_rng(seed).shuffle(names)
     return [np.flatnonzero(np.isin(groups, part)) for part in np.array_split(names, FOLDS)]
@@ -91,7 +91,7 @@ def _share(count: int, pull_n: int = PULL_N) -> float:
 
 
 def fit_stage(stage: StageName, release: Checkpoint, samples: Pressed, rows: Rows, seed: int) -> Decider:
-    """The release after one stage on the chosen samples, before it is calibrated."""
+    """The release after one stage on the chosen samples, before calibration."""
     network: Decider = release.build()
     if stage == "gain":
         _scale_errors(network, samples, rows)
@@ -101,13 +101,13 @@ def fit_stage(stage: StageName, release: Checkpoint, samples: Pressed, rows: Row
 
 
 def fit_around(release: Checkpoint, presses: Pressed | None, seed: int) -> Decider:
-    """The release after all weights were fitted to simulated presses around the cell; not calibrated."""
+    """The release with all weights fitted to simulated presses around the cell; not calibrated."""
     assert presses is not None
     return fit_stage("all", release, presses, np.arange(len(presses)), seed)
 
 
 def _scale_errors(network: Decider, samples: Pressed, rows: Rows) -> None:
-    """Multiply what the heads say of the error by the gain that fits, and add the offset; pulled to 1 and 0."""
+    """Scale the heads' error by the gain that fits and add the offset; pulled to 1 and 0."""
     predictions = trainer_of(network, samples).predict(rows, pictures=False)
     share = _share(len(rows))
     with torch.no_grad():
@@ -123,7 +123,7 @@ def _scale_errors(network: Decider, samples: Pressed, rows: Rows) -> None:
 
 
 def _tune(network: Decider, samples: Pressed, rows: Rows, seed: int) -> None:
-    """A few epochs with symmetries and disturbances; trunk and heads are pulled to where they were."""
+    """Train a few epochs with symmetries and disturbances; trunk and heads are pulled to their start values."""
     torch.manual_seed(seed)
     network.requires_grad_(requires_grad=False)
     parts = (network.trunk, network.direction, network.magnitude, network.density)

@@ -14,13 +14,13 @@ from service.contract.text import fitted, read_by_somebody
 
 
 def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
-    """Train one run from its TOML file; started again, it continues where it stopped.
+    """Train one run from its TOML file; started again, it resumes.
 
     In several processes: ``torchrun --standalone --nproc-per-node 2 -m training train CONFIG``.
 
     Args:
         config: the run's TOML file, see training/configs/.
-        data: dataset folder, instead of the one the config names.
+        data: dataset folder, instead of the one in the config.
     """
     from training.config import RunConfig
     from training.fit.train import train as run
@@ -35,11 +35,11 @@ def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = Non
 
 
 def recipe(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
-    """Train the paper's own recipe (two AlexNet-LSTM networks), the baseline; started again, it continues.
+    """Train the paper's own recipe (two AlexNet-LSTM networks), the baseline; started again, it resumes.
 
     Args:
         config: the recipe's TOML file, see training/configs/alexnet_lstm.toml.
-        data: dataset folder, instead of the one the config names.
+        data: dataset folder, instead of the one in the config.
     """
     from training.config import RecipeConfig
     from training.fit.recipe import train_recipe
@@ -56,12 +56,12 @@ def board(
     run: Annotated[Path, tyro.conf.Positional],
     follow: bool = False,
 ) -> None:
-    """Show a run's scalars on TensorBoard or Trackio, which need not be installed for anything else.
+    """Show a run's scalars on TensorBoard or Trackio, which nothing else requires.
 
     Args:
-        name: whose board.
+        name: board to use.
         run: folder of the run, such as runs/pressing.
-        follow: go on as the run does, until Ctrl-C.
+        follow: keep following the run until Ctrl-C.
     """
     from training.report.boards import show_on
 
@@ -100,18 +100,18 @@ def adapt(
     json: Path | None = None,
     seed: int = 0,
 ) -> int:
-    """Fit a released network to one cell; exit status 3 where the release stays, with what is missing.
+    """Fit a released network to one cell; exit status 3 if the release stays, with the missing evidence.
 
-    It learns from probes of known error, and from insertions that went in. Stages from calibration alone to all
-    weights are judged on fixtures held out; one is accepted only if it is likelier and no count is worse.
+    It learns from probes of known error and from successful insertions. Stages from calibration alone to all weights
+    are compared on held-out fixtures; one is accepted only if it is likelier and no count is worse.
 
     Args:
         recordings: folder of recordings of the cell, real or simulated.
         start: released checkpoint.
         out: folder of the new checkpoint.pt; `python -m export onnx` makes a model folder of it.
         around: dataset of simulated presses of the cell's objects, from `collect --around`, for one more stage.
-        json: file for the answer as data.
-        seed: of folds and batches.
+        json: file for the verdict as data.
+        seed: seed of folds and batches.
     """
     import torch
 
@@ -130,7 +130,7 @@ def adapt(
 def expect(
     checkpoint: Annotated[Path, tyro.conf.Positional], insertions: Annotated[tuple[Path, ...], tyro.conf.Positional]
 ) -> None:
-    """Measure on insertions played how a blocked object creeps in the hand; the checkpoint's belief expects that then.
+    """Measure on played insertions how a blocked object creeps in the hand, for the checkpoint's belief.
 
     Args:
         checkpoint: a ``checkpoint.pt`` written by ``train``; it is replaced.
@@ -155,7 +155,7 @@ def print_table(figures: dict[str, dict[str, float]]) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; wrong input is one line on standard error and exit code 2."""
+    """Run one command; invalid input gives one line on standard error and exit code 2."""
     try:
         commands: dict[str, Callable[..., Any]] = {
             "train": train,

@@ -13,9 +13,9 @@ from training.data.dataset import Trials
 from training.data.labels import HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
 from training.networks.settings import FRAMES_PER_DECISION
 
-GAP_BLUR_MM, HEIGHT_BLUR_MM = 0.3, 1.5  # of what a cell engineer measures
-LAG_FRAMES = 0.25  # how far a marker lags behind its time stamp: it is located in the middle of the exposure
-HEIGHT_UNKNOWN_SHARE = 0.15  # of training decisions without a grasp height: cells may not know it
+GAP_BLUR_MM, HEIGHT_BLUR_MM = 0.3, 1.5  # measuring errors of a cell engineer
+LAG_FRAMES = 0.25  # lag of a marker behind its time stamp: it is located at the middle of the exposure
+HEIGHT_UNKNOWN_SHARE = 0.15  # share of training decisions without a grasp height: cells may not know it
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,8 +24,8 @@ class Batch:
 
     ``fields`` float32 [B, 8, 2, 3, rows, columns], change against the first frame in physical units; ``drawn`` float32
     [B, 8, 2, ...], block sums of pictures or markers tracked in them, or None; ``error`` [B, 2]; ``label`` [B];
-    ``geometry`` [B, 2], gap width and grasp height in mm, 0 where it is not known. Of steps of depth: ``fields``
-    against rest, ``geometry`` [B, 6] all conditions, ``length`` [B] how many steps there are.
+    ``geometry`` [B, 2], gap width and grasp height in mm, 0 if unknown. With steps of depth: ``fields`` against rest,
+    ``geometry`` [B, 6] all conditions, ``length`` [B] the number of steps.
     """
 
     fields: Tensor
@@ -85,7 +85,7 @@ def _apply_symmetries(
     rng: np.random.Generator,
 ) -> None:
     mirrored, turned = rng.random((2, len(error))) < 0.5
-    mirrored &= pooled is None  # the lights are red on one side, green on the other: a mirrored picture lies
+    mirrored &= pooled is None  # the lights are red on one side, green on the other: a mirrored picture would be false
     fields[mirrored] = mirror_fields(fields[mirrored])
     fields[turned] = fields[turned][:, :, ::-1]
     if pooled is not None:
@@ -100,7 +100,7 @@ def frame_pairs(
 ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
     """Batches for the front: frame, reference (block sums [n, 2, h, w]) and field change [n, 3, rows, columns].
 
-    Each trial gives ``pairs`` random (frame, reference) pairs, the reference being the earlier one; both fingers.
+    Each trial gives ``pairs`` random (frame, reference) pairs of both fingers, the earlier frame being the reference.
     """
     order = rng.permutation(chosen)
     per_batch = max(1, size // (2 * pairs))

@@ -26,7 +26,7 @@ _KEPT: dict[Reads, str] = {"pictures": "pooled-2", "markers": "tracked-1"}  # fo
 
 
 class Source(Protocol):
-    """What is used of ``simulation.data.dataset.Dataset``."""
+    """The interface used of ``simulation.data.dataset.Dataset``."""
 
     manifest: Any
 
@@ -41,12 +41,12 @@ class Source(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Trials:
-    """Collided trials. All arrays share their first axis except ``drawn``, found through ``picture``.
+    """Collided trials. All arrays share their first axis except ``drawn``, indexed through ``picture``.
 
-    ``error`` float32 [N, 2] (mm, deg); ``geometry`` float32 [N, 2], gap width and grasp height in mm, 0 where it is not
-    known; ``fields`` float16 [N, WINDOW, 2, rows, columns, 3] (du_mm, dv_mm, N/mm2) from one frame before the onset;
-    ``drawn`` what a network is shown of the pictures: block sums uint16 [M, WINDOW, 2, 2, h, w], or markers tracked in
-    them float32 [M, WINDOW, 2, rows, columns, 3]; ``picture`` int64 [N] row or -1.
+    ``error`` float32 [N, 2] (mm, deg); ``geometry`` float32 [N, 2], gap width and grasp height in mm, 0 if unknown;
+    ``fields`` float16 [N, WINDOW, 2, rows, columns, 3] (du_mm, dv_mm, N/mm2) from one frame before the onset; ``drawn``
+    the network's input from the pictures: block sums uint16 [M, WINDOW, 2, 2, h, w], or markers tracked in them float32
+    [M, WINDOW, 2, rows, columns, 3]; ``picture`` int64 [N] row or -1.
     """
 
     error: NDArray[np.float32]
@@ -64,7 +64,7 @@ class Trials:
         return len(self.error)
 
     def of(self, split: str, *, rendered: bool = False) -> NDArray[np.int64]:
-        """Indices of a split; with ``rendered``, of its rendered trials alone."""
+        """Indices of a split; with ``rendered``, only of its rendered trials."""
         chosen = self.split == SPLITS.index(split)
         return np.flatnonzero(chosen & (self.picture >= 0) if rendered else chosen)
 
@@ -88,16 +88,16 @@ def data_sha256(source: Source) -> str:
 
 
 def _key(trial: Any) -> str:
-    """What makes a trial's pictures what they are, hashed."""
+    """Hash of everything that determines a trial's pictures."""
     stated = (trial.scene_sha256, trial.seed, trial.group, trial.poke, trial.onset_frame, trial.x_mm, trial.theta_deg)
     return hashlib.sha256(json.dumps(stated).encode() + trial.gel.tobytes()).hexdigest()[:24]
 
 
 def reader_sha256(source: Source, reads: Reads) -> str:
-    """A hash of what draws the pictures and reads them, by what it makes of the first trial's decision.
+    """A hash of the code that draws and reads pictures, from its result on the first trial's decision.
 
-    Without any version number, pictures drawn or tracked differently never share a cache. The decision's frames show
-    all that is drawn: before its onset no marker has moved.
+    Pictures drawn or tracked differently thus never share a cache, without any version number. The decision's frames
+    show everything that is drawn: before its onset no marker has moved.
     """
     onset = min(max(int(source.trial(0).onset_frame or 0), 0), len(source.trial(0).gel) - FRAMES_PER_DECISION)
     frames = source.frames(0, onset, FRAMES_PER_DECISION)
@@ -106,14 +106,14 @@ def reader_sha256(source: Source, reads: Reads) -> str:
 
 
 def shown(frames: NDArray[np.uint8], sensor: Sensor, reads: Reads) -> NDArray[Any]:
-    """What a network is shown of frames uint8 [n, 2, H, W, 3]: the markers tracked in them, or block sums."""
+    """A network's input from frames uint8 [n, 2, H, W, 3]: the markers tracked in them, or block sums."""
     if reads == "markers":
         return track_pairs(frames, sensor.markers, sensor.fps)
     return pool_frames(frames, sensor)
 
 
 def load_trials(config: DataConfig, source: Source | None = None, reads: Reads = "pictures") -> Trials:
-    """Read labels and fields, and draw the configured pictures, from the cache where it already holds them.
+    """Read labels and fields, and draw the configured pictures, from the cache where it holds them.
 
     Raises ContractError on non-finite labels, on trials without their window, and on groups spread over splits.
     """
@@ -206,7 +206,7 @@ def _write(path: Path, table: dict[str, NDArray[Any]]) -> None:
 def _load_pictures(
     source: Source, table: dict[str, NDArray[Any]], config: DataConfig, reads: Reads
 ) -> tuple[NDArray[np.int64], NDArray[Any]]:
-    """The pictures of a fixed choice of trials, cached in a file each: a kill or a growing dataset loses none."""
+    """The pictures of a fixed choice of trials, cached in one file each: a kill or a growing dataset loses none."""
     wanted = _choose(table, config)
     drawer = reader_sha256(source, reads) if len(wanted) else "none"
     folder = Path(config.cache) / f"{_KEPT[reads]}-{drawer}"

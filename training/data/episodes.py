@@ -1,9 +1,9 @@
-"""Recordings of a cell as training data: what the networks were shown of each attempt, and the error it had.
+"""Recordings of a cell as training data: the networks' input in each attempt, and its error.
 
-The error is known in two ways. A probe (``purpose`` of the episode) begins at a known error, in the frame that the arm
-was taught. Of an insertion that went in, every earlier attempt was off by the moves that followed it, to within what
-fits the gap. ``objects`` of the samples says which: PROBE or WORK, and LATER for the attempts of an insertion after the
-first one. Those lie nearer to the gap than what a network is first asked, so nothing is judged by them.
+The error is known in two ways. A probe (``purpose`` of the episode) begins at a known error, in the frame taught to the
+arm. In a successful insertion, every earlier attempt was off by the moves that followed it, to within the gap's
+clearance. ``objects`` of the samples says which: PROBE or WORK, and LATER for the attempts of an insertion after the
+first one. Those are closer to the gap than a network's first question, so they are not used for evaluation.
 """
 
 import hashlib
@@ -25,9 +25,9 @@ PROBE, WORK, LATER = "probe", "work", "later"
 
 
 class Attempt(NamedTuple):
-    """One attempt with its error (mm, deg), known of a PROBE, of WORK or of LATER work; fields as in `Pressed`.
+    """One attempt with its error (mm, deg), from a PROBE, from WORK or from LATER work; fields as in `Pressed`.
 
-    All attempts of a recording are of one ``fixture``, the object taken afresh: no cross-validation tears them apart.
+    All attempts of a recording belong to one ``fixture``, one grasp of the object: cross-validation never splits them.
     """
 
     known_of: str
@@ -38,9 +38,9 @@ class Attempt(NamedTuple):
 
 
 def read_episodes(root: Path, sensor: Sensor) -> Pressed:
-    """All attempts below ``root`` whose error is known, in order of time, as training samples.
+    """All attempts below ``root`` with a known error, in order of time, as training samples.
 
-    Raises ContractError where there is none, or where an attempt was shown on another lattice.
+    Raises ContractError where there is none, or where an attempt was recorded on another lattice.
     """
     folders = sorted(path.parent for path in root.glob("*/summary.json"))
     attempts = [attempt for number, folder in enumerate(folders) for attempt in _attempts(folder, number)]
@@ -53,7 +53,7 @@ def read_episodes(root: Path, sensor: Sensor) -> Pressed:
 
 
 def pressed_of(attempts: list[Attempt], sensor: Sensor) -> Pressed:
-    """Attempts as samples, all of the training split; a marker that was not seen is NaN."""
+    """Attempts as samples, all of the training split; an invisible marker is NaN."""
     count = len(attempts)
     fields = np.zeros((count, STEPS, 2, LATTICE.rows, LATTICE.columns, 2), np.float16)
     for row, attempt in zip(fields, attempts, strict=True):
@@ -91,7 +91,7 @@ def _attempts(folder: Path, number: int) -> Iterator[Attempt]:
 
 
 def _shown(path: Path) -> tuple[tuple[NDArray[Any], NDArray[Any]] | None, tuple[float, float]]:
-    """What the networks were shown of an attempt, None if they read no depth, and the move that followed."""
+    """The networks' input in an attempt, None if they read no depth, and the move that followed."""
     with np.load(path) as stored:
         decision = json.loads(str(stored["decision"]))
         moves = float(decision.get("dx_mm", 0.0)), float(decision.get("dtheta_deg", 0.0))
@@ -99,7 +99,7 @@ def _shown(path: Path) -> tuple[tuple[NDArray[Any], NDArray[Any]] | None, tuple[
 
 
 def _errors(summary: dict[str, Any], moves: list[tuple[float, float]]) -> list[tuple[float, float] | None]:
-    """The error of each attempt, None where nothing tells it."""
+    """The error of each attempt, None where it is unknown."""
     if summary.get("purpose") == "probe":
         approach = summary["approach"]
         return [(float(approach["x_mm"]), float(approach["yaw_deg"])), *[None] * (len(moves) - 1)]

@@ -1,6 +1,6 @@
-"""Error classes and what the cell's symmetries do to them. Chosen here, carried by the model card.
+"""Error classes and their changes under the cell's symmetries. Defined here, carried by the model card.
 
-The simulator may not import this: the one copy, in simulation/closed_loop/statistics.py, is compared by a test.
+The simulator may not import this: a test compares its copy in simulation/closed_loop/statistics.py.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
-"""Trials as steps of depth: what the service would read of each descent through cameras of many rates.
+"""Trials as steps of depth: the service's readings of each descent through cameras of many rates.
 
-A stored trial knows the gel at each depth. A camera's frames are taken from it at a drawn rate and phase, with the
-tracker's error, and go through the service's own reading of depth (:mod:`service.perception.pressing`).
+A stored trial holds the gel at each depth. A camera's frames are taken from it at a drawn rate and phase, with the
+tracker's error, and go through the service's own depth reading (:mod:`service.perception.pressing`).
 """
 
 import math
@@ -25,19 +25,19 @@ from training.networks.pressing import DECISION_STEPS, LATTICE, STEP_MM, STEPS
 
 FPS = (10.0, 120.0)
 WIDEST_SPACING_MM = 0.8
-"""Between frames; where the arm moves further, what happened in between is a guess."""
+"""Largest travel between frames; beyond it, the motion in between is a guess."""
 TRACKING_MM = (0.001, 0.004)
-"""Error of a lattice point, RMS of an axis: a tracker's 0.04 to 0.08 px, averaged over the markers around it."""
+"""Error of a lattice point, RMS per axis: a tracker's 0.04 to 0.08 px, averaged over the markers around it."""
 NOTICED_MM = (0.012, 0.03)
-"""Motion at which the service notices the onset."""
+"""Motion at which the service detects the onset."""
 STATED_ERROR = (2.0, 5.0, 0.1, 0.3, 0.03, 0.0)
-"""Of each condition as a cell tells it, at most: mm of gap and height, shares of the rest."""
+"""Largest errors of each condition as stated by a cell: mm of gap and height, shares of the others."""
 UNTOLD_SHARE = (0.1, 0.2, 0.3, 0.4, 0.0, 0.0)
-"""Of training decisions without a condition: cells may not know it."""
+"""Share of training decisions without a condition: cells may not know it."""
 SCALE_ERROR, ROLL_DEG, LOST_SHARE = 0.03, 2.0, 0.03
-"""Of a finger's camera: what its calibration may be wrong by, and markers that are not found."""
+"""Errors of a finger's camera: of its calibration, and the share of markers not found."""
 CARRIED = 10
-"""Of the markers' motions, the one that notices the onset, from the largest: as `carried_px` of the service does."""
+"""Rank, from the largest, of the marker motion that detects the onset, as in `carried_px` of the service."""
 _TABLE = 2
 
 
@@ -45,9 +45,9 @@ _TABLE = 2
 class Pressed:
     """Views of collided trials; a training trial has several. All arrays share their first axis.
 
-    ``error`` float32 [N, 2] (mm, deg); ``conditions`` float32 [N, 6] as told, see `CONDITIONS`; ``fields`` float16
-    [N, STEPS, 2, rows, columns, 2] (du_mm, dv_mm) of each step, NaN where nothing was seen; ``length`` int64 [N], steps
-    that there are; ``reach`` float32 [N], the true shear reach in mm, 0 where the dataset does not say.
+    ``error`` float32 [N, 2] (mm, deg); ``conditions`` float32 [N, 6] as stated, see `CONDITIONS`; ``fields`` float16
+    [N, STEPS, 2, rows, columns, 2] (du_mm, dv_mm) of each step, NaN where nothing was visible; ``length`` int64 [N],
+    number of steps; ``reach`` float32 [N], the true shear reach in mm, 0 where the dataset does not state it.
     """
 
     error: NDArray[np.float32]
@@ -69,7 +69,7 @@ class Pressed:
         return np.flatnonzero((self.split == SPLITS.index(split)) & (not rendered))
 
     def batch(self, chosen: NDArray[np.int64], rng: np.random.Generator | None) -> Batch:
-        """Decisions; with ``rng``, symmetries, cameras' scale, markers that are lost, and conditions left out."""
+        """Decisions; with ``rng``, symmetries, cameras' scale, lost markers, and conditions left out."""
         moved = self.fields[chosen].astype(np.float32)
         visible = np.isfinite(moved).all(-1, keepdims=True)
         fields = np.concatenate([np.where(visible, moved, 0.0), visible], -1, dtype=np.float32)
@@ -86,7 +86,7 @@ class Pressed:
         )
 
     def pressing(self, strangeness_limit: float | None) -> Pressing:
-        """What the card says of how such networks read, with the ranges of the training views."""
+        """The card's section on how such networks read, with the ranges of the training views."""
         conditions = self.conditions[self.of("train")]
         pitch = self.sensor.marker_pitch_mm
         trained = {MARKER_PITCH: Span(low=0.75 * pitch, high=1.3 * pitch)}
@@ -124,7 +124,7 @@ def _vary(
 
 
 def _miscalibrate(fields: NDArray[np.float32], rng: np.random.Generator) -> None:
-    """Scale and turn the motion that each finger's camera shows, as far as its calibration may be wrong."""
+    """Scale and turn the motion in each finger's camera within the error of its calibration."""
     one = (len(fields), 1, 2, 1, 1)
     scale, roll = rng.uniform(1.0 - SCALE_ERROR, 1.0 + SCALE_ERROR, one), np.radians(ROLL_DEG) * rng.uniform(-1, 1, one)
     along, across = (scale * np.cos(roll)).astype(np.float32), (scale * np.sin(roll)).astype(np.float32)
@@ -177,7 +177,7 @@ def _table(source: Source, count: int, views: int) -> dict[str, NDArray[Any]]:
 
 
 def _stated_conditions(stored: "Stored", spacing_mm: float, rng: np.random.Generator) -> NDArray[np.float32]:
-    """The conditions as a cell would state them, a little wrong; 0 stays unknown."""
+    """The conditions as a cell would state them, slightly wrong; 0 stays unknown."""
     true, error = (
         np.array([*stored.conditions, spacing_mm]),
         rng.uniform(-1.0, 1.0, len(STATED_ERROR)) * STATED_ERROR,
@@ -191,7 +191,7 @@ class Stored:
     """One trial on the lattice, n moments.
 
     ``depths_mm`` [n], rising, 0 at its onset frame; ``fields`` [n, 2 * points * 2] in mm since the first of them;
-    ``carried_mm`` [n], what notices an onset; ``conditions``: true, without the spacing of frames.
+    ``carried_mm`` [n], the motion that detects an onset; ``conditions``: true, without the spacing of frames.
     """
 
     depths_mm: NDArray[np.float64]
@@ -210,7 +210,7 @@ class Reader:
         self._weights = weights / np.maximum(weights.sum(1, keepdims=True), 1e-6)
 
     def stored(self, trial: Any) -> Stored:
-        """What a trial keeps, from the frame before its onset to the last in which the arm still went down."""
+        """The stored part of a trial, from the frame before its onset to the last frame of the arm's descent."""
         begin, depths_mm = int(trial.onset_frame) - 1, np.asarray(trial.depth_mm, np.float64)
         end = begin + 1 + int(np.argmax(np.append(np.diff(depths_mm[begin:]) <= 0.0, True)))
         gel = np.asarray(trial.gel[begin:end, ..., :2], np.float32)
@@ -231,7 +231,7 @@ class Reader:
         )
 
     def view(self, stored: Stored, rng: np.random.Generator) -> tuple[NDArray[np.float16], int, float]:
-        """Steps [STEPS, 2, rows, columns, 2] through a drawn camera, how many there are, and its spacing in mm."""
+        """Steps [STEPS, 2, rows, columns, 2] through a drawn camera, their number, and their spacing in mm."""
         speed_mm_s = stored.conditions[4]
         slowest = max(FPS[0], speed_mm_s / WIDEST_SPACING_MM)
         spacing_mm = speed_mm_s / math.exp(rng.uniform(math.log(slowest), math.log(max(FPS[1], slowest))))

@@ -1,4 +1,4 @@
-"""A dataset as a kind of network is shown it: frames and tracked markers, or steps of depth."""
+"""A dataset as the input of a kind of network: frames and tracked markers, or steps of depth."""
 
 from collections.abc import Iterator
 
@@ -16,13 +16,13 @@ Samples = Trials | Pressed
 
 
 def load(config: DataConfig, kind: str, source: Source | None = None) -> Samples:
-    """What networks of a kind train on; ContractError as `load_trials`."""
+    """Training samples for networks of a kind; ContractError as `load_trials`."""
     shown = reads(kind)
     return load_pressed(config, source) if shown == "steps" else load_trials(config, source, shown)
 
 
 def decisions(samples: Samples, chosen: NDArray[np.int64], rng: np.random.Generator | None, *, pictures: bool) -> Batch:
-    """The chosen decisions, varied with ``rng``."""
+    """The chosen decisions, augmented with ``rng``."""
     if isinstance(samples, Pressed):
         return samples.batch(chosen, rng)
     return batches.decisions(samples, chosen, rng, pictures=pictures)
@@ -31,7 +31,7 @@ def decisions(samples: Samples, chosen: NDArray[np.int64], rng: np.random.Genera
 def epoch(
     samples: Samples, chosen: NDArray[np.int64], size: int, rng: np.random.Generator, *, pictures: bool
 ) -> Iterator[Batch]:
-    """Shuffled, varied batches of one epoch."""
+    """Shuffled, augmented batches of one epoch."""
     order = rng.permutation(chosen)
     for start in range(0, len(order), size):
         yield decisions(samples, order[start : start + size], rng, pictures=pictures)

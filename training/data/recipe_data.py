@@ -1,4 +1,4 @@
-"""What the recipe trains on: the trials chosen, and their frozen features kept on disk."""
+"""Training data of the recipe: the chosen trials, and their frozen features cached on disk."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,7 @@ CROP_PX = 12
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """Trials of the recipe with their cached features, float16 [N, 8, 2, 9216]; ``crop`` rows are doubled ones."""
+    """Trials of the recipe with their cached features, float16 [N, 8, 2, 9216]; ``crop`` rows are duplicates."""
 
     trial: NDArray[np.int64]
     crop: NDArray[np.bool_]
@@ -35,7 +35,7 @@ class Rows:
     sensor: Sensor
 
     def of(self, split: str) -> NDArray[np.int64]:
-        """Rows of one split; doubled ones exist in training only."""
+        """Rows of one split; duplicates exist in training only."""
         return np.flatnonzero(self.split == SPLITS.index(split))
 
 
@@ -102,6 +102,6 @@ def _convolved(
 
 
 def _rows_done(counter: Path) -> int:
-    """Rows that are computed; none where a kill cut the number short."""
+    """Number of computed rows; 0 where a kill truncated it."""
     text = counter.read_text() if counter.exists() else ""
     return int(text) if text.isdigit() else 0

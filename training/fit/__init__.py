@@ -1,1 +1,1 @@
-"""Training runs: the loop, its stages, and the checkpoint that they end in."""
+"""Training runs: the loop, its stages, and the resulting checkpoint."""

@@ -1,4 +1,4 @@
-"""A trained network on disk: weights, sizes, and all that its model card will say of it."""
+"""A trained network on disk: weights, sizes, and everything for its model card."""
 
 import hashlib
 import json
@@ -22,7 +22,7 @@ _FORMAT = 1
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Everything the exporter needs. ``figures`` are of the split named in ``scored_on``."""
+    """Everything that the exporter needs. ``figures`` belong to the split named in ``scored_on``."""
 
     name: str
     network: NetworkConfig
@@ -33,13 +33,13 @@ class Checkpoint:
     training_data_sha256: str
     git_commit: str
     run: dict[str, JsonValue] = field(default_factory=dict)
-    """Settings of the run it came from."""
+    """Settings of its training run."""
     sensor: Sensor = field(default_factory=Sensor.load)
-    """Of the data it was trained on."""
+    """Hash of its training data."""
     pressing: Pressing | None = None
-    """How it reads steps of depth, of networks that do."""
+    """For networks that read steps of depth: how they read them."""
     expectations: Expectations = field(default_factory=Expectations)
-    """Of attempts with it, for the belief."""
+    """Expectations of attempts with it, for the belief."""
 
     def save(self, path: Path) -> None:
         about = {
@@ -89,7 +89,7 @@ class Checkpoint:
             raise ContractError(f"checkpoint {path} is not one of ours: {type(error).__name__}") from error
 
     def weights_sha256(self) -> str:
-        """Hash of the weights alone: saved again, with other figures or by another commit, they are the same."""
+        """Hash of the weights alone: it does not change with the figures or the commit."""
         digest = hashlib.sha256()
         for name in sorted(self.weights):
             digest.update(name.encode() + self.weights[name].numpy().tobytes())

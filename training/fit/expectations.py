@@ -1,7 +1,7 @@
-"""What a belief may expect of attempts: errors as in the training data, creep as in insertions that were played.
+"""A belief's expectations of attempts: errors as in the training data, creep as in played insertions.
 
-A blocked object is left turned in the hand, its bottom outwards. How far is the difference between where it was before
-an attempt, the move made, and where it was before the next.
+A blocked object is left turned in the hand, its bottom outwards. The amount is the difference between its error before
+an attempt, the move made, and its error before the next attempt.
 """
 
 import json
@@ -17,11 +17,11 @@ from service.contract.model_card import Expectations
 
 Floats = NDArray[np.float64]
 MISPLACED = (2.0, 2.0)
-"""How far a cell's frames may be off, mm and deg: a start may lie as much beyond those collected."""
+"""Usual errors of a cell's frames, mm and deg: a start may lie this far beyond those collected."""
 FEWEST = 40
 LEVER_FROM_MM, LEVER_USUAL_MM = 30.0, 45.0
 LEAST_SPREAD_MM, LEAST_SPREAD_DEG = 0.2, 0.2
-_STILL_MM = 0.3  # nearer than this the side of an error means nothing
+_STILL_MM = 0.3  # below this, the side of an error has no meaning
 
 
 def of_errors(error: Floats, given: Expectations) -> Expectations:
@@ -32,10 +32,10 @@ def of_errors(error: Floats, given: Expectations) -> Expectations:
 
 
 def of_insertions(paths: Iterable[Path], given: Expectations) -> Expectations:
-    """``given`` with the creep of attempts played; ContractError where there are too few.
+    """``given`` with the creep of played attempts; ContractError where there are too few.
 
-    Each path is a log of `python -m simulation evaluate`. Medians and median deviations count: what a few attempts
-    that slipped far did is no creep.
+    Each path is a log of `python -m simulation evaluate`. Medians and median deviations are used: a few attempts that
+    slipped far are no creep.
     """
     steps = np.array([step for path in paths for row in _rows(path) for step in _steps(row)], np.float64)
     if len(steps) < FEWEST:
@@ -67,7 +67,7 @@ def _rows(path: Path) -> Iterator[Mapping[str, Any]]:
 
 
 def _steps(row: Mapping[str, Any]) -> Iterator[tuple[float, float, float, float]]:
-    """Error in x before an attempt, how far it crept in x (mm) and yaw (deg), and how high it is held above 30 mm."""
+    """Error in x before an attempt, its creep in x (mm) and yaw (deg), and its grasp height above 30 mm."""
     height_mm = row["changes"].get("grasp.height_mm", LEVER_USUAL_MM)
     for one, following in zip(row["trials"], row["trials"][1:], strict=False):
         (x_mm, yaw_deg), (next_x, next_yaw), move = one["error_before"], following["error_before"], one["decision"]
@@ -85,7 +85,7 @@ def _middle(values: Floats, least: float) -> tuple[float, float]:
 
 
 def _line(x: Floats, y: Floats) -> tuple[float, float]:
-    """Offset and slope of a line through points, far ones counting less (Huber's weights, ten rounds)."""
+    """Offset and slope of a line through points, outliers down-weighted (Huber's weights, ten rounds)."""
     offset, slope = _middle(y, LEAST_SPREAD_MM)[0], 0.0
     if len(x) < FEWEST // 2 or float(np.ptp(x)) == 0.0:
         return offset, slope

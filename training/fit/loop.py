@@ -25,7 +25,7 @@ MAX_GRADIENT = 1.0
 
 @dataclass
 class Stage:
-    """What a stage trains.
+    """The subject of a stage.
 
     ``batches`` of an epoch, ``loss`` of one batch, ``validate`` -> scalars; the lowest ``score`` wins.
     """
@@ -63,8 +63,8 @@ def _rate(step: int, total: int) -> float:
 def fit(network: nn.Module, stage: Stage, folder: Path, seed: int) -> dict[str, float]:
     """Train one stage and leave ``network`` at its best epoch; resumes from ``folder`` if it holds this stage.
 
-    Appends a JSON line an epoch to ``log.jsonl`` there.
-    Returns the scalars of the best validation. Raises ContractError on a non-finite loss or a foreign checkpoint.
+    Appends a JSON line per epoch to ``log.jsonl`` there. Returns the scalars of the best validation. Raises
+    ContractError on a non-finite loss or a foreign checkpoint.
     """
     config = stage.config
     optimiser = torch.optim.AdamW(stage.parameters, lr=config.learning_rate, weight_decay=config.weight_decay)
@@ -163,6 +163,6 @@ def _resume(path: Path, network: nn.Module, optimiser: Optimizer, schedule: Lamb
         network.load_state_dict(stored["network"])
     except (RuntimeError, KeyError) as error:
         raise ContractError(f"{path} holds another architecture, expected this run's") from error
-    optimiser.load_state_dict(stored["optimiser"])  # brings its learning rate along
+    optimiser.load_state_dict(stored["optimiser"])  # restores its learning rate, too
     schedule.last_epoch = stored["schedule"]["last_epoch"]
     return _Progressed(**{name: stored[name] for name in ("epoch", "best", "best_epoch", "best_state", "minutes")})

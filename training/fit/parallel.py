@@ -1,7 +1,8 @@
 """One training in several processes: ``torchrun --standalone --nproc-per-node 2 -m training train CONFIG``.
 
 Every process holds the whole network and an equal share of the training trials; DistributedDataParallel averages the
-gradients before each step, so that all take the same one. The first process writes. A single process needs none of it.
+gradients before each step, so that all take the same step. The first process writes. A single process needs none of
+this.
 """
 
 import os
@@ -18,7 +19,7 @@ from torch.nn.parallel import DistributedDataParallel
 
 @contextmanager
 def group() -> Iterator[None]:
-    """Join the processes that torchrun started, over gloo; nothing to join without it."""
+    """Join the processes that torchrun started, over gloo; does nothing without torchrun."""
     if int(os.environ.get("WORLD_SIZE", "1")) < 2:
         yield
         return
@@ -35,7 +36,7 @@ def together() -> bool:
 
 
 def rank() -> int:
-    """Number of this process, 0 for the first and for a lonely one."""
+    """Number of this process, 0 for the first or only one."""
     return dist.get_rank() if together() else 0
 
 
@@ -53,19 +54,19 @@ def share(chosen: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def seeds(*seed: int) -> list[int]:
-    """Seeds of this process: its own where there are others, so that shares are not augmented alike."""
+    """Seeds of this process: different in each process, so that shares are augmented differently."""
     return [*seed, rank()] if together() else list(seed)
 
 
 def averaged(network: nn.Module, loss: Callable[[Any], Tensor]) -> Callable[[Any], Tensor]:
-    """``loss`` of a batch; where there are other processes, its gradients are the mean over all of them."""
+    """``loss`` of a batch; with other processes, its gradients are the mean over all of them."""
     if not together():
         return loss
     return DistributedDataParallel(_Loss(network, loss), find_unused_parameters=True, broadcast_buffers=False)
 
 
 class _Loss(nn.Module):
-    """A stage's loss as one forward pass, which is what DistributedDataParallel wraps."""
+    """A stage's loss as one forward pass, the form that DistributedDataParallel wraps."""
 
     def __init__(self, network: nn.Module, loss: Callable[[Any], Tensor]) -> None:
         super().__init__()
@@ -76,7 +77,7 @@ class _Loss(nn.Module):
 
 
 def agreed(value: Any) -> Any:
-    """The first process's value, on all of them: clocks differ, and all must stop after the same epoch."""
+    """The first process's value, on all of them: clocks differ, but all must stop after the same epoch."""
     if not together():
         return value
     box = [value]
@@ -86,7 +87,7 @@ def agreed(value: Any) -> Any:
 
 @contextmanager
 def first_goes_first() -> Iterator[None]:
-    """A block that the first process runs before the others: it fills the caches that they read."""
+    """A block that the first process runs before the others, to fill the caches that they read."""
     if together() and not first():
         dist.barrier()
     yield

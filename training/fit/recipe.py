@@ -1,7 +1,7 @@
-"""The paper's own recipe, as the baseline that ours must beat: two independent AlexNet-LSTM networks.
+"""The paper's own recipe, the baseline: two independent AlexNet-LSTM networks.
 
 Convolutions are frozen: ImageNet's if a state dict is given, otherwise pretrained here on simulated imprints (from a
-difference frame to the gel's motion). Their features are computed once and kept; the fully connected layers and the
+difference frame to the gel's motion). Their features are computed once and cached; the fully connected layers and the
 LSTM are then trained with Adam. Classes 7 and 8 are doubled with random crops, as in the paper.
 """
 
@@ -30,7 +30,7 @@ NETWORK = NetworkConfig(kind="alexnet_lstm")
 
 
 def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoint:
-    """Run the recipe, or continue where it stopped; raises ContractError on data or weights that do not fit."""
+    """Run the recipe, or resume it; raises ContractError on data or weights that do not fit."""
     torch.set_num_threads(config.threads)
     torch.manual_seed(config.seed)
     source = open_source(config.data) if source is None else source
@@ -56,7 +56,7 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
 
 
 class _FieldReader(nn.Module):
-    """Convolutions with a linear read-out of the marker field: what they are pretrained with."""
+    """Convolutions with a linear read-out of the marker field, for pretraining."""
 
     def __init__(self, network: AlexNetLstm, size: int) -> None:
         super().__init__()
@@ -118,7 +118,7 @@ def head_stage(
     read: Callable[[NDArray[np.int64]], Tensor],
     parameters: list[nn.Parameter],
 ) -> Stage:
-    """Train ``parameters`` on the final states [B, 340] that ``read`` gives of rows: on classes, or on errors."""
+    """Train ``parameters`` on the final states [B, 340] that ``read`` gives for rows: on classes, or on errors."""
     train, held = rows.of("train"), rows.of("validation")
     labels = torch.from_numpy(class_of(rows.error))
     errors = torch.from_numpy(rows.error)
@@ -142,7 +142,7 @@ def head_stage(
 
 
 def _fit_heads(config: RecipeConfig, role: str, network: AlexNetLstm, rows: Rows) -> None:
-    """All layers after the frozen convolutions."""
+    """Train all layers after the frozen convolutions."""
     for parameter in network.alexnet.features.parameters():
         parameter.requires_grad = False
     parts = (network.alexnet.classifier, network.lstm, network.output)

@@ -1,8 +1,7 @@
-"""Training of the compact pair in three stages; the last word is a checkpoint with calibration and honest figures.
+"""Training of the compact pair in three stages; the result is a checkpoint with calibration and held-out figures.
 
-1. front: pictures -> true marker field changes (dense supervision, few pictures needed).
-2. trunk: true fields with the front's own error added -> decision (every trial, no picture needed).
-3. tune: pictures -> decision, through both.
+1. front: pictures -> true marker field changes (dense supervision, few pictures needed). 2. trunk: true fields with the
+front's own error added -> decision (every trial, no picture needed). 3. tune: pictures -> decision, through both.
 """
 
 from collections.abc import Callable
@@ -48,7 +47,7 @@ class Trainer:
     network: Decider
     class_weights: Tensor
     front_error: Tensor
-    most_steps: int = DECISION_STEPS  # of depth to decide on
+    most_steps: int = DECISION_STEPS  # steps of depth of a decision, at most
 
     def normalised(self, batch: Batch) -> Tensor:
         """True field changes in the network's units."""
@@ -66,7 +65,7 @@ class Trainer:
         return direction + weight.magnitude * magnitude + weight.density * density
 
     def _asked(self, fields: Tensor, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
-        """States that have to decide, with label and error of each: the last of a decision; of steps of depth, all."""
+        """The states to train on, with label and error of each: the last of a decision; for steps of depth, all."""
         if batch.length is None:
             return self.network.read_fields(fields, batch.geometry), batch.label, batch.error
         states = self.network.read_steps(fields, batch.geometry)
@@ -80,12 +79,12 @@ class Trainer:
         return functional.mse_loss(self.network.front(frame, reference), self._scaled(change))
 
     def trunk_loss(self, batch: Batch) -> Tensor:
-        """Decision loss on true fields with the error added with which they are read."""
+        """Decision loss on true fields with reading errors added."""
         fields = self.network.disturbed(self.normalised(batch), self.front_error)
         return self.decision_loss(fields, batch)
 
     def tune_loss(self, batch: Batch) -> Tensor:
-        """Decision loss on pictures, with the field still held to the truth."""
+        """Decision loss on pictures, with the field still supervised by the ground truth."""
         assert batch.drawn is not None
         fields = self.network.read_drawn(batch.drawn)
         held = functional.mse_loss(fields, self.normalised(batch))
@@ -142,7 +141,7 @@ class Trainer:
         return {"score": table["nll"] + self.config.loss.magnitude * likelihood, **kept}
 
     def front_score(self, chosen: NDArray[np.int64]) -> dict[str, float]:
-        """Front's mean square error on validation pictures; also keeps the size of its error for the trunk."""
+        """Front's mean square error on validation pictures; also stores the size of its error for the trunk."""
         assert isinstance(self.trials, Trials)
         front, rng = self.network.get_submodule("front"), np.random.default_rng(0)
         residuals = [
@@ -158,7 +157,7 @@ class Trainer:
 
 
 def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
-    """Run all stages, resuming where a killed run stopped, and save ``<runs>/<name>/checkpoint.pt``.
+    """Run all stages, resuming a killed run, and save ``<runs>/<name>/checkpoint.pt``.
 
     Under torchrun every process takes an equal share of the trials; the first one writes.
     """
@@ -173,7 +172,7 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
             refuse_another(folder, config)
             trials = load(config.data, config.network.kind, source)
             grounds = trials.sha256 + (_start(config, trials.sensor).weights_sha256() if config.start_from else "")
-            pin(folder, config, grounds)  # not before: a mistyped data folder must not claim the run's
+            pin(folder, config, grounds)  # only now: a mistyped data folder must not claim the run's
         trainer = _prepare(config, trials)
         for stage in _stages(trainer):
             if stage.config.epochs:
@@ -204,7 +203,7 @@ def _start(config: RunConfig, sensor: Sensor) -> Checkpoint:
 
 
 def _set_scales(network: Decider, trials: Samples) -> None:
-    """Normalise what the network reads by its spread over some training decisions."""
+    """Normalise the network's inputs by their spread over some training decisions."""
     chosen = trials.of("train")[:: max(1, len(trials.of("train")) // 500)]
     network.set_scales(decisions(trials, chosen, None, pictures=False).fields)
 
@@ -257,7 +256,7 @@ def _run(trainer: Trainer, stage: Stage, folder: Path) -> None:
 
 
 def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
-    """Calibrate on validation, score every split on pictures where there are any, save."""
+    """Calibrate on validation, score every split (on pictures where there are any), save."""
     pictures = len(trainer.trials.of("validation", rendered=True)) > 0
     scales, tables = _scored(trainer, trainer.predict, pictures=pictures)
     joint_scales, joint_tables = _scored(trainer, trainer.predict_density, pictures=pictures)

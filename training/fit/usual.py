@@ -1,4 +1,4 @@
-"""What fields look like in training, so that others are known for strange."""
+"""Usual fields, as in training, to recognise strange ones."""
 
 from collections.abc import Callable
 
@@ -14,14 +14,14 @@ from training.networks.pressing import PressingNetwork
 
 MOST_USUAL = 5000
 FALSE_STOPS = 0.005
-"""Of usual decisions, the share that the limit of strangeness refuses."""
+"""Share of usual decisions that the strangeness limit refuses."""
 
 
 def learn_usual(network: Decider, trials: Pressed, steps: Callable[[NDArray[np.int64]], Tensor]) -> Pressing:
-    """Teach the network what is usual, and give what its card says of how it reads.
+    """Fit the network's model of usual fields, and return the card's section on how it reads.
 
-    The limit is what hardly any of validation exceeds. ``steps``: normalised motion [N, 2, 2, rows, columns] of
-    a step of each chosen decision.
+    The limit is exceeded by hardly any validation decision. ``steps``: normalised motion [N, 2, 2, rows, columns] of a
+    step of each chosen decision.
     """
     assert isinstance(network, PressingNetwork)
     train = trials.of("train")

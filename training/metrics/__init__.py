@@ -1,1 +1,1 @@
-"""How good predictions are, and their calibration."""
+"""Figures of predictions, and their calibration."""

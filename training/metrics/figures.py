@@ -1,4 +1,4 @@
-"""How good the decisions are: accuracy, calibration, errors, each with the size of the sample it rests on."""
+"""Quality of the decisions: accuracy, calibration, errors, each with its sample size."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ class Scales:
 
 
 class Sample(Protocol):
-    """What a network puts out for some trials, before calibration."""
+    """A network's raw outputs for some trials, before calibration."""
 
     def take(self, chosen: NDArray[np.bool_]) -> Self:
         """The chosen trials."""
@@ -48,7 +48,7 @@ class Predictions:
     objects: NDArray[np.str_]
 
     def __post_init__(self) -> None:
-        """Raise ContractError on a number that is not finite: every average would swallow it."""
+        """Raise ContractError on a non-finite number, which would spoil every average."""
         for name in ("logits", "error", "log_sigma", "truth"):
             if not np.isfinite(getattr(self, name)).all():
                 raise ContractError(f"predictions hold a {name} that is not finite")
@@ -79,7 +79,7 @@ def probabilities(logits: NDArray[np.float64], temperature: float) -> NDArray[np
 
 
 def cross_calibrated(sample: Sample, groups: NDArray[np.str_]) -> Predictions:
-    """Each half of the groups calibrated on the other half: no trial is scored by a fit that it was part of."""
+    """Each half of the groups calibrated on the other half: no trial is scored by a fit that included it."""
     names = np.unique(groups)
     if len(names) < 2:
         return sample.rescaled(sample.calibration())
@@ -107,7 +107,7 @@ def _nll(p: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
 def calibration_curve(
     p: NDArray[np.float64], labels: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    """Mean confidence, accuracy and count of the top class in equal bins of confidence (empty bins left out)."""
+    """Mean confidence, accuracy and count of the top class in equal bins of confidence (empty bins omitted)."""
     confidence = p.max(1)
     right = p.argmax(1) == labels
     index = np.minimum((confidence * BINS).astype(int), BINS - 1)

@@ -1,4 +1,4 @@
-"""Reading a joint density: class, error and spread, and how sharp it should be."""
+"""Reading a joint density: class, error and spread, and its temperature."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -23,7 +23,7 @@ def normalised(log_density: NDArray[np.float64], temperature: float) -> NDArray[
 
 
 def density_temperature(log_density: NDArray[np.float64], truth: NDArray[np.float32]) -> float:
-    """Temperature under which the true cells are likeliest."""
+    """Temperature at which the true cells are likeliest."""
     row = np.abs(truth[:, :1] - np.array(GRID_X_MM)).argmin(1)
     column = np.abs(truth[:, 1:] - np.array(GRID_THETA_DEG)).argmin(1)
     grid = np.exp(np.linspace(np.log(0.5), np.log(4.0), 43))
@@ -58,7 +58,7 @@ class Densities:
         return Predictions(logits, mean, log_sigma, self.truth.astype(np.float64), self.objects)
 
     def calibration(self) -> Scales:
-        """Temperature of the density, and sigma scales of what is then read from it."""
+        """Temperature of the density, and sigma scales of the predictions read from it."""
         temperature = density_temperature(self.log_density, self.truth)
         return replace(self.predictions(temperature).calibration(), temperature=temperature)
 

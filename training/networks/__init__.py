@@ -1,4 +1,4 @@
-"""The networks by kind. A new one is a file beside these and a line in NETWORKS."""
+"""The networks by kind. To add one, add a file here and a line in NETWORKS."""
 
 from typing import Any, Literal
 
@@ -27,7 +27,7 @@ def network_class(kind: str) -> type[Decider | AlexNetPair]:
 
 
 def reads(kind: str) -> Literal["pictures", "markers", "steps"]:
-    """What a kind of network is shown: frames, markers tracked in them, or steps of depth."""
+    """The input of a kind of network: frames, markers tracked in them, or steps of depth."""
     network = network_class(kind)
     if network.reads_steps:
         return "steps"
@@ -35,5 +35,5 @@ def reads(kind: str) -> Literal["pictures", "markers", "steps"]:
 
 
 def build(settings: NetworkConfig, classes: int, sensor: Sensor) -> Any:
-    """A fresh network of the configured kind: a Decider, or the paper's pair; ContractError on an unknown kind."""
+    """A new network of the configured kind: a Decider, or the paper's pair; ContractError on an unknown kind."""
     return network_class(settings.kind)(settings, classes, sensor)

@@ -1,7 +1,8 @@
-"""How the held object moved as a whole, fitted to a marker field: the few small numbers that a decision hangs on.
+"""Motion of the held object as a whole, fitted to a marker field: the few small numbers behind a decision.
 
-A turn of the object about the vertical moves both fingers' markers by some hundredths of a millimetre, in a field that
-moves by tenths. A network finds that difference of differences slowly; written down it is there from the first epoch.
+A rotation of the object about the vertical moves both fingers' markers by some hundredths of a millimetre, in a field
+that moves by tenths. A network learns that difference of differences slowly; computed here, it is available from the
+first epoch.
 """
 
 import torch
@@ -14,7 +15,7 @@ _LEAST = 1e-6
 
 
 class AffineFit(nn.Module):
-    """Normalised fields [N, 2, 3, rows, columns] (du, dv, weight) -> features [N, size] of what ``raw`` gives."""
+    """Normalised fields [N, 2, 3, rows, columns] (du, dv, weight) -> features [N, size] from the output of ``raw``."""
 
     place: Tensor
     spread: Tensor
@@ -33,15 +34,15 @@ class AffineFit(nn.Module):
         return torch.relu(self.read(raw / self.spread))
 
     def set_spread(self, fields: Tensor) -> None:
-        """Make each number of order one on fields like these."""
+        """Scale each number to order one on fields like these."""
         self.spread.copy_(self.raw(fields).std(0).clamp_min(_LEAST))
 
     def raw(self, fields: Tensor) -> Tensor:
         """[N, NUMBERS]: the affine motion of the whole field, and of the patch that moves with the object.
 
-        The patch is weighted by numbers that rise with a marker's motion up to the field's mean. It comes once as it is
-        and once over its own size, which says which way the object goes before it has gone far; last the size's
-        logarithm and the centres of both patches.
+        The patch is weighted by numbers that rise with a marker's motion up to the field's mean. Its motion is given
+        twice: as it is, and divided by its own size, which shows the object's direction after little motion. Last come
+        the size's logarithm and the centres of both patches.
         """
         visible = fields[:, :, 2:].clamp(0, 1)
         motion = fields[:, :, :2].square().sum(2, keepdim=True)
@@ -57,10 +58,10 @@ def _shares(weight: Tensor) -> Tensor:
 
 
 def _affine(moved: Tensor, share: Tensor, place: Tensor) -> tuple[Tensor, Tensor]:
-    """Half the difference and half the sum of what both fingers see, [N, 12], and the centres of their weights [N, 4].
+    """Half the difference and half the sum of both fingers' views, [N, 12], and the centres of their weights [N, 4].
 
-    What a finger sees is its mean (du, dv) and how du and dv grow along u and along v. The fingers look at the object
-    from opposite sides: of its motion along x they see the difference, of its turn about z and its motion along z the
+    A finger's view is its mean (du, dv) and the gradients of du and dv along u and v. The fingers look at the object
+    from opposite sides: its motion along x appears in the difference, its turn about z and its motion along z in the
     sum.
     """
     mean, centre = (share * moved).sum((3, 4)), (share * place).sum((3, 4))

@@ -1,6 +1,7 @@
 """The paper's network: AlexNet features of both fingers' difference frames, an LSTM of 170, one linear output.
 
-Layers carry torchvision's names (``features.0``, ``classifier.1``, ...), so that an ImageNet state dict loads as it is.
+Layers carry torchvision's names (``features.0``, ``classifier.1``, ...), so that an ImageNet state dict loads
+unchanged.
 """
 
 from pathlib import Path
@@ -16,8 +17,9 @@ from training.networks.settings import NetworkConfig
 INPUT_PX = 224
 FEATURES, HIDDEN, LSTM = 9216, 4096, 170
 HIDDEN_REACH, CELL_REACH = 1.001, 1e6
-"""What a stream can reach: a hidden unit is a gate times a tanh; a cell unit gains at most one a step, and a million
-steps are nine hours of frames."""
+"""Reach of a stream: a hidden unit is a gate times a tanh; a cell unit gains at most one per step, and a million steps
+are nine hours of frames.
+"""
 IMAGENET_SPREAD = 0.226
 
 
@@ -41,10 +43,10 @@ def convolutions() -> nn.Sequential:
 
 
 def difference_images(frames: Tensor, reference: Tensor, shift_px: tuple[int, int] = (0, 0)) -> Tensor:
-    """Difference frames as AlexNet takes pictures: uint8 BGR [N, H, W, 3] twice -> float32 RGB [N, 3, 224, 224].
+    """Difference frames as AlexNet inputs: uint8 BGR [N, H, W, 3] twice -> float32 RGB [N, 3, 224, 224].
 
-    The cast comes before the subtraction. ``shift_px`` (rows, columns) moves the square that is cut out: a random crop.
-    Raises ContractError on frames higher than wide.
+    The cast precedes the subtraction. ``shift_px`` (rows, columns) moves the cropped square: a random crop. Raises
+    ContractError on frames higher than wide.
     """
     height, width = frames.shape[1:3]
     if height > width:
@@ -53,7 +55,7 @@ def difference_images(frames: Tensor, reference: Tensor, shift_px: tuple[int, in
         )
     margin = (width - height) // 2
     square = slice(margin, margin + height)
-    if shift_px == (0, 0):  # cutting bytes is cheaper than cutting floats
+    if shift_px == (0, 0):  # cropping bytes is cheaper than cropping floats
         frames, reference = frames[:, :, square], reference[:, :, square]
     change = (frames.float() - reference.float()).permute(0, 3, 1, 2)
     if shift_px != (0, 0):
@@ -145,7 +147,7 @@ class AlexNetPair(nn.Module):
 
 
 def load_imagenet(network: AlexNetLstm, path: Path) -> None:
-    """Take over torchvision's AlexNet weights; raises ContractError naming the file and what does not fit."""
+    """Load torchvision's AlexNet weights; raises ContractError naming the file and the mismatch."""
     try:
         stored = torch.load(path, weights_only=True, map_location="cpu")
         kept = {name: value for name, value in stored.items() if not name.startswith("classifier.6.")}

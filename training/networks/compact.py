@@ -1,7 +1,7 @@
 """The compact image network: frames -> marker motion -> decision, under a million parameters.
 
 ``front`` reads each finger's pooled frame against its reference and returns the change of the marker field (du, dv,
-pressure) on the marker lattice: one output cell a marker cell, trained against the simulator's true fields. The split
+pressure) on the marker lattice: one output cell per marker cell, trained against the simulator's true fields. The split
 lets the trunk train on every trial without drawing a picture; both are tuned together on pictures at the end.
 """
 
@@ -52,7 +52,7 @@ class Front(nn.Module):
 
 
 class CompactNetwork(Decider):
-    """Pictures, by way of the front."""
+    """Decider that reads pictures through the front."""
 
     front: Front
 
@@ -74,7 +74,7 @@ class CompactNetwork(Decider):
         return fields * self.field_scale[:, None, None]
 
     def disturbed(self, fields: Tensor, front_error: Tensor) -> Tensor:
-        """White and smooth error of the size that the front's has."""
+        """Add white and smooth error of the front's measured size."""
         white = torch.randn_like(fields)
         smooth = torch.randn(*fields.shape[:-2], 1, 1)
         strength = torch.rand(fields.shape[0], 1, 1, 1, 1, 1) * 1.5

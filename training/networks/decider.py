@@ -1,7 +1,7 @@
-"""What all our networks share: marker motion of both fingers, frame after frame, to a decision.
+"""Common part of our networks: from marker motion of both fingers, frame by frame, to a decision.
 
-``Trunk`` reads the fields of both fingers with a recurrent cell; ``Decider`` adds the heads. What differs is how the
-fields are read from what the cameras gave; see :mod:`training.networks.compact` and :mod:`training.networks.markers`.
+``Trunk`` reads the fields of both fingers with a recurrent cell; ``Decider`` adds the heads. The networks differ in how
+they obtain the fields from the cameras; see :mod:`training.networks.compact` and :mod:`training.networks.markers`.
 """
 
 from typing import Self
@@ -17,13 +17,13 @@ from training.networks.settings import NetworkConfig
 
 FIELD_CHANNELS = 3
 ERROR_SCALE = 5.0
-"""Heads put out units of 5 mm and 5 deg, so that their outputs are of order one."""
+"""Heads output units of 5 mm and 5 deg, so that their outputs are of order one."""
 AFFINE_FEATURES = 64
 LOG_SIGMA_SPAN = 3.0
 STATE_REACH = 1.001
-"""A GRU's state is a mean of its last state and a tanh, so it cannot leave +-1 by more than rounding."""
+"""A GRU's state is a mean of its last state and a tanh, so it exceeds +-1 only by rounding."""
 GEOMETRY_FEATURES = 3
-"""Gap width, whether the grasp height is known, grasp height: what the cell gives besides the pictures."""
+"""Gap width, whether the grasp height is known, grasp height: the cell's data besides the pictures."""
 
 
 def geometry_features(geometry: Tensor) -> Tensor:
@@ -72,7 +72,7 @@ class Trunk(nn.Module):
 
 
 class Decider(nn.Module):
-    """Trunk and heads. ``field_scale`` [3] turns a field's (mm, mm, third channel) into numbers of order one."""
+    """Trunk and heads. ``field_scale`` [3] scales a field's (mm, mm, third channel) to order one."""
 
     field_scale: Tensor
     state_reach = STATE_REACH
@@ -91,14 +91,14 @@ class Decider(nn.Module):
         self.magnitude = nn.Linear(settings.state_size, 4)
         self.density = MixtureDensity(settings.state_size)
         self.front: nn.Module | None = None
-        """Reads the pictures of a network that reads any; it is trained first, on true fields."""
+        """Front of a network that reads pictures; it is trained first, on true fields."""
         self.register_buffer("field_scale", torch.ones(FIELD_CHANNELS))
 
     def grid(self, sensor: Sensor) -> tuple[int, int]:
         return sensor.marker_rows, sensor.marker_columns
 
     def set_scales(self, fields: Tensor) -> None:
-        """Make field changes [N, T, 2, 3, rows, columns] like these of order one; u and v alike: turns stay turns."""
+        """Scale field changes [N, T, 2, 3, rows, columns] like these to order one; u and v alike: turns stay turns."""
         spread = fields.std((0, 1, 2, 4, 5)).clamp_min(1e-4)
         spread[:2] = spread[:2].square().mean().sqrt()
         self.field_scale.copy_(1.0 / spread)
@@ -106,19 +106,19 @@ class Decider(nn.Module):
             self.trunk.affine.set_spread(self.normalised(fields).flatten(0, 1))
 
     def normalised(self, fields: Tensor) -> Tensor:
-        """True field changes [.., 3, rows, columns] in (mm, mm, N/mm2) as the trunk takes them, read without error."""
+        """True field changes [.., 3, rows, columns] in (mm, mm, N/mm2) as input of the trunk, without error."""
         raise NotImplementedError
 
     def disturbed(self, fields: Tensor, front_error: Tensor) -> Tensor:
-        """Normalised fields [B, T, 2, 3, rows, columns] as they are really read; ``front_error`` [2, 3] as measured."""
+        """Normalised fields [B, T, 2, 3, rows, columns] with realistic errors; ``front_error`` [2, 3] as measured."""
         raise NotImplementedError
 
     def read_drawn(self, drawn: Tensor) -> Tensor:
-        """What the dataset cache holds of pictures [B, T, 2, ...] -> normalised field changes since the first frame."""
+        """Cached inputs from pictures [B, T, 2, ...] -> normalised field changes since the first frame."""
         raise NotImplementedError
 
     def of(self, _role: Role) -> Self:
-        """The network of one role: this one, roles share all but the head."""
+        """The network of one role: this one; roles differ only in the head."""
         return self
 
     def advance(self, features: Tensor, geometry: Tensor, state: Tensor) -> Tensor:
@@ -140,7 +140,7 @@ class Decider(nn.Module):
         return self.density.on_grid(state)
 
     def read_steps(self, fields: Tensor, geometry: Tensor) -> Tensor:
-        """States after each step of depth [B, T, S]; of networks that read those."""
+        """States after each step of depth [B, T, S]; only for networks that read these."""
         raise NotImplementedError
 
     def read_fields(self, fields: Tensor, geometry: Tensor) -> Tensor:

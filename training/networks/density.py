@@ -1,6 +1,6 @@
-"""A joint density over the position error: a mixture of Gaussians, read off on a grid inside the graph.
+"""A joint density over the position error: a mixture of Gaussians, evaluated on a grid inside the graph.
 
-A mixture can say "left or right, I cannot tell", which one Gaussian cannot; few parameters keep it smooth on few data.
+Unlike one Gaussian, a mixture can be undecided between left and right; few parameters keep it smooth on few data.
 """
 
 import math
@@ -13,7 +13,7 @@ UNIT = 5.0
 """Means and spreads are learnt in units of 5 mm and 5 deg."""
 NARROWEST, WIDEST = math.log(0.04), math.log(3.0)
 
-# Cells of 1 mm and 1 deg whose borders fall on the class thresholds (2.5 mm, 5 deg).
+# Cells of 1 mm and 1 deg with borders on the class thresholds (2.5 mm, 5 deg).
 GRID_X_MM = tuple(float(x) for x in range(-20, 21))
 GRID_THETA_DEG = tuple(theta + 0.5 for theta in range(-20, 20))
 
@@ -27,7 +27,7 @@ class MixtureDensity(nn.Module):
     def __init__(self, state_size: int) -> None:
         super().__init__()
         self.parts = nn.Linear(state_size, COMPONENTS * 5)
-        with torch.no_grad():  # components start spread over the plane, so that each finds work
+        with torch.no_grad():  # components start spread over the plane, so that all of them are used
             start = torch.randn(COMPONENTS, 2, generator=torch.Generator().manual_seed(0))
             self.parts.bias.view(COMPONENTS, 5)[:, 1:3] = 1.5 * start
         self.register_buffer("grid_x", torch.tensor(GRID_X_MM) / UNIT, persistent=False)

@@ -1,7 +1,7 @@
 """The two forms in which every network is exported, from one set of weights.
 
-``SequenceForm`` reads a whole decision at once, ``StepForm`` one frame pair at a time; they are the same arithmetic,
-so that they agree to rounding. Inputs and outputs are those of :class:`service.contract.ModelCard`.
+``SequenceForm`` reads a whole decision at once, ``StepForm`` one frame pair at a time. Both do the same arithmetic, so
+they agree to rounding. Inputs and outputs are those of :class:`service.contract.ModelCard`.
 """
 
 from typing import Protocol
@@ -31,7 +31,7 @@ class Recurrent(Protocol):
         """One recurrent step; ``geometry`` [B, 2] is gap width and grasp height in mm."""
 
     def strangeness(self, features: Tensor) -> Tensor:
-        """How unlike training a step is, [B, 1]; of networks that read steps of depth."""
+        """How unlike training a step is, [B, 1]; only for networks that read steps of depth."""
 
     def logits(self, state: Tensor) -> Tensor:
         """Class logits of a state."""
@@ -58,10 +58,10 @@ class _Form(nn.Module):
 
 
 def within_reach(state: Tensor, reach: float | Tensor) -> Tensor:
-    """A recurrent state [B, S] from outside, brought back to the magnitudes that the cell can reach.
+    """A recurrent state [B, S] from outside, scaled back to the magnitudes that the cell can reach.
 
-    Every state within reach leaves as it came, bit for bit (the factor is 1). What is no number stays none, infinity
-    becomes NaN: the service refuses both by name, a clamp would make a decision of them.
+    A state within reach is unchanged, bit for bit (the factor is 1). NaN stays NaN and infinity becomes NaN: the
+    service refuses both by name, whereas a clamp would turn them into a decision.
     """
     return state * torch.clamp(reach / state.abs(), max=1.0)
 

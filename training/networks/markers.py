@@ -1,7 +1,7 @@
-"""The marker network: marker displacements, which are tracked for slip anyway -> decision. No picture is read twice.
+"""The marker network: marker displacements, already tracked for slip -> decision. No picture is read twice.
 
-The tracker locates a marker to a twentieth of a pixel, ten times finer than a network reads it from pooled pictures. It
-does not measure the gel's light, and so not the pressure.
+The tracker locates a marker to a twentieth of a pixel, ten times finer than a network can from pooled pictures. It does
+not measure the gel's shading, and so not the pressure.
 """
 
 import torch
@@ -12,7 +12,7 @@ from training.networks.decider import Decider
 from training.networks.settings import NetworkConfig
 
 TRACKING_PX = 0.08
-"""Largest tracking error trained on, RMS of an axis: it is 0.04 px at the scenes' camera noise, 0.08 at three times."""
+"""Largest tracking error in training, RMS per axis: it is 0.04 px at the scenes' camera noise, 0.08 at three times."""
 LOST_SHARE = 0.03
 MISLED_SHARE = 0.01
 """Markers located at their neighbour's place or half way there: one in a hundred where the gel moves steeply."""
@@ -26,28 +26,28 @@ class MarkerNetwork(Decider):
 
     def __init__(self, settings: NetworkConfig, classes: int, sensor: Sensor) -> None:
         super().__init__(settings, classes, sensor)
-        self.mm_per_px = sensor.mm_per_px  # a camera is brought to this scale by its calibration
+        self.mm_per_px = sensor.mm_per_px  # the calibration brings every camera to this scale
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
-        """Fields of two instants -> features of what moved between them."""
+        """Fields of two instants -> features of the motion between them."""
         return self.trunk.encode(self._change(frame, reference))
 
     def _change(self, frame: Tensor, reference: Tensor) -> Tensor:
         """[N, 2, rows, columns, 3] twice -> normalised change [N, 2, 3, rows, columns].
 
-        Of each marker du, dv and whether it was visible both times.
+        For each marker du, dv and whether it was visible both times.
         """
         visible = (torch.minimum(frame[..., 2:], reference[..., 2:]) > VISIBLE).to(frame.dtype)
         moved = (frame[..., :2] - reference[..., :2]) * self.mm_per_px * self.field_scale[:2] * visible
         return torch.cat([moved, visible], -1).movedim(-1, -3)
 
     def normalised(self, fields: Tensor) -> Tensor:
-        """Motion over its spread; pressure gives way to a channel that says that every marker is visible."""
+        """Motion over its spread; a channel with every marker visible replaces the pressure."""
         moved = fields[..., :2, :, :] * self.field_scale[:2, None, None]
         return torch.cat([moved, torch.ones_like(moved[..., :1, :, :])], -3)
 
     def disturbed(self, fields: Tensor, front_error: Tensor) -> Tensor:  # noqa: ARG002 the tracker's error is known
-        """The tracker's error on every frame but the first, and markers that it lost."""
+        """Add the tracker's error on every frame but the first, and lost markers."""
         count = fields.shape[0]
         spread = torch.rand(count, 1, 1, 1, 1, 1) * TRACKING_PX * self.mm_per_px * self.field_scale[:2, None, None]
         error = torch.randn_like(fields[..., :2, :, :])

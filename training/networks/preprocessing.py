@@ -15,11 +15,11 @@ CHANNELS = 2
 """Green, and blue + red: the LEDs are green, so the two differ where the gel is pressed."""
 BLOCKS_A_PITCH = 3
 LARGEST_BLOCK_PX = 11
-"""Two colours' sum over a larger block does not fit 16 bits."""
+"""The sum of two colours over a larger block would not fit 16 bits."""
 
 
 def block_px(sensor: Sensor) -> int:
-    """Side of a block, a third of the marker pitch; ContractError where that is no number of pixels."""
+    """Side of a block, a third of the marker pitch; ContractError where that is not a whole number of pixels."""
     side, rest = divmod(sensor.marker_pitch_px, BLOCKS_A_PITCH)
     if rest or side > LARGEST_BLOCK_PX:
         raise ContractError(
@@ -44,9 +44,9 @@ def pool_frames(frames: NDArray[np.uint8], sensor: Sensor) -> NDArray[np.uint16]
 
 
 def selector(width_px: int, block: int) -> NDArray[np.int8]:
-    """Which bytes of a row of a BGR frame belong to which sum: int8 [3 W, 2 (W // block)] of zeros and ones.
+    """Assignment of the bytes of a row of a BGR frame to sums: int8 [3 W, 2 (W // block)] of zeros and ones.
 
-    The last columns, which fill no block, belong to none.
+    The last columns, which fill no block, belong to no sum.
     """
     columns = width_px // block
     row = np.zeros((width_px, 3, CHANNELS, columns), np.int8)
@@ -61,8 +61,8 @@ def selector(width_px: int, block: int) -> NDArray[np.int8]:
 def block_sums(frames: Tensor, block: int) -> Tensor:
     """As :func:`pool_frames`, inside the graph: uint8 [N, H, W, 3] -> float32 [N, 2, H / block, W / block].
 
-    An operator of its own, so that the exporter writes it as one product of integers (:func:`selector`): a quarter of
-    the time that casting and adding takes.
+    A separate operator, so that the exporter writes it as one integer product (:func:`selector`), in a quarter of the
+    time of casting and adding.
     """
     rows, columns = frames.shape[1] // block, frames.shape[2] // block
     cut = frames[:, : rows * block, : columns * block].reshape(-1, rows, block, columns, block, 3)

@@ -17,7 +17,7 @@ from training.networks.settings import NetworkConfig
 LATTICE = Lattice(rows=13, columns=13, pitch_mm=1.5)
 STEP_MM = 0.15
 STEPS = 11
-"""Trained on; how many of them a decision takes is stated in the card."""
+"""Steps in training; the card states how many of them a decision takes."""
 DECISION_STEPS = 8
 USUAL = (60.0, 60.0, 25.0, 0.8, 10.0, 0.2)
 """A middle value of each condition: the network reads the logarithm of the stated value over it."""
@@ -26,17 +26,17 @@ SHARE_FEATURES = 64
 VISIBLE = 0.5
 LEAST = 1e-3
 SHARES = slice(12, 24)
-"""Of the affine fit's numbers, the motion of the patch that moves with the object."""
+"""The affine fit's numbers for the motion of the patch that moves with the object."""
 SHAPES = 48
-"""Directions in which the fields of training vary; what a field has beside them is strange."""
+"""Directions in which training fields vary; any other component of a field is strange."""
 
 
 class Strangeness(nn.Module):
-    """How unlike training a field is, once its size is left out: [N, 2, 2, rows, columns] -> [N, 1], usually near 1.
+    """How unlike training a field is, regardless of its size: [N, 2, 2, rows, columns] -> [N, 1], usually near 1.
 
-    The fields of training span few directions. What lies outside them, over what usually does, is one part; how far
-    out it lies along them, over their spread, the other (a Mahalanobis distance). Both fingers are judged together:
-    each may look well and the pair may be none that an object could cause.
+    Training fields span few directions. One part is the component outside them, relative to its usual size; the other
+    is the distance along them, relative to their spread (a Mahalanobis distance). Both fingers are judged together:
+    each may look normal while no object could cause the pair.
     """
 
     mean: Tensor
@@ -60,7 +60,7 @@ class Strangeness(nn.Module):
         return (0.5 * beside + 0.5 * (along / self.spread).square().mean(1)).sqrt()[:, None]
 
     def learn(self, fields: Tensor) -> None:
-        """Take the fields of training for usual."""
+        """Fit the model of usual fields to training."""
         shape = self._shape(fields)
         self.mean.copy_(shape.mean(0))
         _, values, axes = torch.linalg.svd(shape - self.mean, full_matrices=False)
@@ -76,7 +76,7 @@ class Strangeness(nn.Module):
 
 
 class PressingNetwork(Decider):
-    """Steps float32 [B, 2, rows, columns, 3]: (du_mm, dv_mm, 1 if seen)."""
+    """Decider that reads steps float32 [B, 2, rows, columns, 3]: (du_mm, dv_mm, 1 if visible)."""
 
     reads_steps = True
     roles: tuple[Role, ...] = ("pair", "joint")
@@ -94,7 +94,7 @@ class PressingNetwork(Decider):
     condition_features = KNOWN_FEATURES + SHARE_FEATURES
 
     def features(self, frame: Tensor, reference: Tensor) -> Tensor:
-        """A step, which is a change already, against a reference of no change -> features."""
+        """Features of a step, which is already a change, against a reference of no change."""
         visible = (torch.minimum(frame[..., 2:], reference[..., 2:]) > VISIBLE).to(frame.dtype)
         moved = (frame[..., :2] - reference[..., :2]) * self.field_scale[:2] * visible
         return self.encode(torch.cat([moved, visible], -1).movedim(-1, -3))
@@ -123,15 +123,15 @@ class PressingNetwork(Decider):
         return following
 
     def strangeness(self, features: Tensor) -> Tensor:
-        """[B, 1] of a step."""
+        """Strangeness [B, 1] of a step."""
         return features[:, -1:]
 
     def normalised(self, fields: Tensor) -> Tensor:
-        """Motion over its spread, and whether it was seen."""
+        """Motion over its spread, and visibility."""
         return torch.cat([fields[..., :2, :, :] * self.field_scale[:2, None, None], fields[..., 2:, :, :]], -3)
 
     def disturbed(self, fields: Tensor, front_error: Tensor) -> Tensor:  # noqa: ARG002 views carry their error
-        """As they are: each view was read with a tracker's error."""
+        """Unchanged: each view already contains a tracker's error."""
         return fields
 
     def read_steps(self, fields: Tensor, geometry: Tensor) -> Tensor:

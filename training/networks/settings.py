@@ -1,4 +1,4 @@
-"""Which network, and how large."""
+"""Kind and sizes of a network."""
 
 from pydantic import Field
 
@@ -10,7 +10,7 @@ FRAMES_PER_DECISION = 8
 class NetworkConfig(Contract):
     """Kind and sizes of a network; ``kind`` is a key of :data:`training.networks.NETWORKS`.
 
-    ``affine_fit`` puts the motion of the object as a whole, fitted to the field, beside what convolutions find.
+    ``affine_fit`` adds the motion of the object as a whole, fitted to the field, to the convolutions' features.
     """
 
     kind: str = "compact"

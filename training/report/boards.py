@@ -1,4 +1,4 @@
-"""A run's scalars on other people's boards: what ``log.jsonl`` says, epoch by epoch, also of a run that goes on."""
+"""A run's scalars on external boards: the contents of ``log.jsonl``, epoch by epoch, also while a run continues."""
 
 import json
 import time
@@ -15,7 +15,7 @@ PERIOD_S = 1.0
 
 
 def lines(log: Path, *, follow: bool) -> Iterator[dict[str, Any]]:
-    """Each whole line of a log; those that are still to come, too, with ``follow``."""
+    """Each complete line of a log; with ``follow``, future ones, too."""
     with log.open() as file:
         while True:
             start, line = file.tell(), file.readline()
@@ -29,7 +29,7 @@ def lines(log: Path, *, follow: bool) -> Iterator[dict[str, Any]]:
 
 
 def show_on(board: BoardName, run: Path, *, follow: bool = False) -> int:
-    """Write all scalars of a run's stages to a board; how many epochs that were.
+    """Write all scalars of a run's stages to a board; returns the number of epochs.
 
     Raises ContractError without a log, or where the board's package is not installed.
     """

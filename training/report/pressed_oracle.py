@@ -1,8 +1,8 @@
 """The information limit of pressing: a decision from the object's true motion in the hand at each step of depth.
 
-A perfect reader of the gel knows how the object moved in the fingers and no more. A recurrent network of the same size
-reads that motion (6 degrees of freedom, exact), and has all conditions exactly. How well it decides is the limit of
-any tactile network.
+A perfect reader of the gel knows how the object moved in the fingers and nothing else. A recurrent network of the same
+size reads that motion (6 degrees of freedom, exact) and all conditions exactly. Its performance is the limit of any
+tactile network.
 """
 
 from pathlib import Path
@@ -78,7 +78,7 @@ def _motion(trial: Any) -> tuple[Any, ...] | None:
 
 
 class MotionOracle(nn.Module):
-    """True in-hand motion [B, T, 6] since the first frame, and what else is known [B, told] -> decision state."""
+    """True in-hand motion [B, T, 6] since the first frame, and other known inputs [B, told] -> decision state."""
 
     spread: Tensor
 
