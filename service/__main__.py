@@ -1,4 +1,4 @@
-"""`python -m service COMMAND`: a command is a module of :mod:`service.cli`, loaded only when it is asked for."""
+"""`python -m service COMMAND`: a command is a module of :mod:`service.cli`, loaded only on use."""
 
 import importlib
 import os
@@ -17,7 +17,7 @@ EXIT_BAD_INPUT = 2
 
 
 def usage() -> str:
-    """The help text: one line a command."""
+    """The help text: one line per command."""
     width = max(map(len, COMMANDS))
     lines = [f"  {name:<{width}}  {text}" for name, text in COMMANDS.items()]
     return "\n".join(
@@ -26,14 +26,14 @@ def usage() -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; exit code 2 and one line on standard error if its input is bad."""
+    """Run one command; exit code 2 and one line on standard error if its input is invalid."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in {"-h", "--help"}:
         print(usage())
         return 0 if arguments else EXIT_BAD_INPUT
     name, *rest = arguments
     for pool in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(pool, "1")  # small matrices in several threads of our own; pools only spin
+        os.environ.setdefault(pool, "1")  # our own threads work on small matrices; pools would only spin
     if name not in COMMANDS:
         from service.contract.refusals import nearest
 

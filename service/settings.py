@@ -30,12 +30,12 @@ from service.contract.wire import ControllerName, Limits
 
 HELP = "python -m service run --help"
 OTHER_VARIABLES = ("TACTILE_INSERTION_", "TACTILE_REAL_DATA", "TACTILE_SCREENSHOTS", "TACTILE_TRACEBACK")
-"""Variables that start alike: of the robot client (or Kubernetes), of tests, of every command."""
+"""Prefixes of other variables: of the robot client (or Kubernetes), of tests, of every command."""
 
 
 @dataclass(frozen=True, slots=True)
 class Deadlines:
-    """How long each stage of an attempt may take."""
+    """Time limits of the stages of an attempt."""
 
     reference_s: float = 2.0  # from `arm` to the first pair captured after it
     decision_frames_s: float = 2.0  # from `stopped` to the last frame the networks need
@@ -43,7 +43,7 @@ class Deadlines:
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):
-    """Options as an engineer reads them: no default where there is none, and no name of the function that makes it."""
+    """Option help for engineers: no default where there is none, and no name of a default's function."""
 
     def _expand_help(self, action: argparse.Action) -> str:
         return re.sub(r" \(default(: null| factory: \w+)\)", "", super()._expand_help(action))
@@ -204,7 +204,7 @@ def _take_config(arguments: Sequence[str]) -> tuple[list[str], str, dict[str, An
 
 
 def _check_keys(path: str, table: Mapping[str, Any]) -> None:
-    """Raise SettingsError on a key of the file, or a variable of the environment, that is no setting."""
+    """Raise SettingsError on a key of the file, or a variable of the environment, that is not a setting."""
     for key in table:
         if key not in Settings.model_fields:
             raise SettingsError(f"--config {path}: {key} is not used{nearest(key, Settings.model_fields)}")
@@ -215,7 +215,7 @@ def _check_keys(path: str, table: Mapping[str, Any]) -> None:
 
 
 def _origin(name: str, arguments: Sequence[str], path: str, table: Mapping[str, Any]) -> str:
-    """Where a setting was given: the option, else the variable, else the file; the option if nowhere."""
+    """Origin of a setting: the option, else the variable, else the file; the option if none."""
     option = "--" + name.replace("_", "-")
     if any(argument.split("=")[0] == option for argument in arguments):
         return option
@@ -226,7 +226,7 @@ def _origin(name: str, arguments: Sequence[str], path: str, table: Mapping[str, 
 
 
 def _with_defaults(table: dict[str, Any]) -> type[Settings]:
-    """A Settings class whose lowest source is the given table."""
+    """A Settings class with the given table as its lowest source."""
 
     class Configured(Settings):
         @classmethod

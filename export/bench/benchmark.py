@@ -1,4 +1,4 @@
-"""``python -m export benchmark``: what a decision costs here, whether int8 pays, and what the paper's networks cost."""
+"""``python -m export benchmark``: the cost of a decision here, whether int8 pays, and the paper's networks."""
 
 import tempfile
 from collections.abc import Sequence

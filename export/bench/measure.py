@@ -66,8 +66,8 @@ def time_in_turn(
 ) -> dict[str, tuple[Timing, NDArray[np.float64]]]:
     """Time several calls, one of each in turn, so that noise hits all alike; timing and (wall, CPU) ms [2, N] of each.
 
-    ``warm`` calls each once untimed before its timed call, where others in turn would empty its caches. The processor
-    time is that of the calling thread, which is all there is where a session has one.
+    ``warm`` calls each once untimed before its timed call, since the others empty its caches. The processor time is
+    that of the calling thread, which is all of it for sessions with one thread.
     """
     for call in calls.values():
         for _ in range(WARM_UP_CALLS):

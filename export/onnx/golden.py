@@ -49,7 +49,7 @@ def hard_frames(spec: FrameSpec, count: int) -> dict[str, NDArray[np.uint8]]:
 
 
 def golden_markers(spec: MarkerSpec | Lattice, count: int, seed: int = 0) -> NDArray[np.float32]:
-    """Marker fields that shear and twist over time, a few markers unseen: float32 [count, 2, rows, columns, 3]."""
+    """Marker fields that shear and twist over time, some markers invisible: float32 [count, 2, rows, columns, 3]."""
     rng = np.random.default_rng(seed)
     v, u = np.mgrid[: spec.rows, : spec.columns].astype(np.float32)
     motion = rng.uniform(-1.0, 1.0, (2, 3, 1, 1))

@@ -55,7 +55,7 @@ class Model:
 
 
 def open_model(file: Path, threads: int = 1) -> Model:
-    """Open a released file; raise ContractError without a runnable graph, a valid card or the inputs it promises."""
+    """Open a released file; raise ContractError without a runnable graph, a valid card or its stated inputs."""
     run = session(file, threads)
     card = ModelCard.from_props(run.get_modelmeta().custom_metadata_map, file.name)
     expected = {"frames"} if card.form == "sequence" else {"frame", "reference", "state"}

@@ -1,4 +1,4 @@
-"""Released files checked: card, graph, both forms equal, batches and threads equal, outputs bounded on hard inputs."""
+"""Checks of released files: card, graph, equal forms, equal batches and threads, bounded outputs on hard inputs."""
 
 from pathlib import Path
 from typing import Any

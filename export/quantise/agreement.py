@@ -12,7 +12,7 @@ SAME = (0.1, 0.1)  # mm, deg
 
 
 def same_commands(source: Sequence[Model], build: Sequence[Model], decisions: Sequence[Decision]) -> int:
-    """Of how many decisions the step models of a source, which decide together, and their build command the same."""
+    """Number of decisions for which the step models of a source, deciding together, and their build agree."""
     ours, theirs = ([_command(models, decision) for decision in decisions] for models in (source, build))
     return int((np.abs(np.array(ours) - np.array(theirs)) <= SAME).all(1).sum())
 

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from service.contract import ContractError, Finger, FramePair, TactileFrame
 from service.contract.wire import CameraEntry, FaultCode
 
-RETRY_S = 0.25  # a returned camera is found within 1 s
+RETRY_S = 0.25  # a returned camera is noticed within 1 s
 STALL_S = 0.5  # no frame for this long is a stall
-GLANCE_EVERY = 4  # without attention one frame in so many is decoded; the others only show that the camera lives
-MAX_BROKEN = 10  # JPEGs in a row that do not decode, before the camera is given up and opened anew
+GLANCE_EVERY = 4  # without attention one frame in this many is decoded; the others only show that the camera lives
+MAX_BROKEN = 10  # consecutive undecodable JPEGs before the camera is reopened
 State = Literal["live", "stalled", "lost", "starting"]
 
 
@@ -31,19 +31,19 @@ class CameraError(ContractError):
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """What a source yields: monotonic stamp, pixels uint8 [h, w, 3] BGR or the JPEG that still holds them."""
+    """A captured frame: monotonic stamp, pixels uint8 [h, w, 3] BGR or the JPEG that still holds them."""
 
     captured_ns: int
     pixels: NDArray[np.uint8] | None
     jpeg: bytes = b""
 
     def image(self) -> NDArray[np.uint8]:
-        """The pixels, decoded if they have to be; raises CameraError if the JPEG is broken."""
+        """The pixels, decoded if necessary; raises CameraError if the JPEG is broken."""
         return decode_jpeg(self.jpeg) if self.pixels is None else self.pixels
 
 
 class Source(Protocol):
-    """Where frames come from. ``frames`` yields until the camera ends or fails (raises OSError or CameraError)."""
+    """Source of frames. ``frames`` yields until the camera ends or fails (raises OSError or CameraError)."""
 
     name: str
 
@@ -61,7 +61,7 @@ def decode_jpeg(jpeg: bytes) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, slots=True)
 class CameraFrame:
-    """A frame with the JPEG it was decoded from, for recording and streaming on without encoding again."""
+    """A frame with its original JPEG, so that recording and streaming need no second encoding."""
 
     frame: TactileFrame
     jpeg: bytes | None
@@ -70,11 +70,12 @@ class CameraFrame:
 class Camera:
     """One finger's camera: a thread that captures, stamps, counts, notices stalls and size changes, and reconnects.
 
-    ``on_frame`` is called in the capture thread for each frame, ``on_fault(finger, code, detail)`` once for each change
-    into a bad state; codes are camera_lost, camera_stalled, camera_frozen, camera_size. A picture that repeats the last
-    one bit for bit is not new, since no camera is free of noise: it is counted but not passed on, and half a second of
-    nothing else is a frozen camera. While ``attended`` is False, most JPEGs are counted but not decoded, which saves
-    three quarters of what an idle service would spend.
+    ``on_frame`` is called in the capture thread for each frame, ``on_fault(finger, code, detail)`` once per change into
+    a bad state; codes are camera_lost, camera_stalled, camera_frozen, camera_size.
+
+    A picture that repeats the last one bit for bit is not new, since every camera has noise: it is counted but not
+    passed on, and half a second of nothing else is a frozen camera. While ``attended`` is False, most JPEGs are counted
+    but not decoded, which saves three quarters of an idle service's load.
     """
 
     def __init__(
@@ -111,7 +112,7 @@ class Camera:
 
     @property
     def frame_rate_hz(self) -> float | None:
-        """Measured over the last second or so, None before the second frame."""
+        """Rate measured over about the last second, None before the second frame."""
         stamps = list(self._stamps)
         if len(stamps) < 2 or stamps[-1] == stamps[0]:
             return None
@@ -124,7 +125,7 @@ class Camera:
         )
 
     def check_stall(self, now_ns: int) -> None:
-        """Mark a live camera without frames as stalled; its owner calls this a few times a second."""
+        """Mark a live camera without frames as stalled; its owner calls this a few times per second."""
         if self.state == "live" and self.newest_ns and now_ns - self.newest_ns > STALL_S * 1e9:
             if self._same_n:
                 detail = f"the same picture {self._same_n + 1} times for {STALL_S:g} s from {self.source.name}"
@@ -230,7 +231,7 @@ class Pairer:
         return 0.6 * max(self._period_ns.values(), default=33e6)
 
     def add(self, frame: TactileFrame) -> FramePair | None:
-        """Take in a frame; returns the pair it completes."""
+        """Add a frame; returns the pair that it completes."""
         with self._lock:
             self._measure(frame)
             other: Finger = "right" if frame.finger == "left" else "left"
@@ -252,5 +253,5 @@ class Pairer:
 
 
 def now_ns() -> int:
-    """The clock of all stamps of this process and this machine."""
+    """The clock of all stamps in this process and on this machine."""
     return time.monotonic_ns()

@@ -1,4 +1,4 @@
-"""Where camera frames come from: MJPEG over HTTP, V4L2, a recording, frames pushed by a client."""
+"""Sources of camera frames: MJPEG over HTTP, V4L2, a recording, frames pushed by a client."""
 
 import http.client
 import queue
@@ -17,7 +17,7 @@ from service.cameras.capture import CameraError, Capture, Source, now_ns
 from service.contract import TactileFrame
 from service.contract.refusals import nearest
 
-CONNECT_TIMEOUT_S = 0.6  # with the pause between tries, a camera that returns is found within 1 s
+CONNECT_TIMEOUT_S = 0.6  # with the pause between tries, a returned camera is noticed within 1 s
 READ_TIMEOUT_S = 1.0
 MAX_JPEG_BYTES = 4 << 20
 _LENGTH = re.compile(rb"(?im)^content-length:\s*(\d+)")
@@ -30,9 +30,9 @@ IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
 class MjpegSource:
     """``multipart/x-mixed-replace`` JPEG parts over HTTP; stamped when the part's header arrives.
 
-    A part's ``X-Timestamp`` (seconds) is its capture time instead where it lies within the last second of this
-    machine's monotonic clock: the camera server then runs here and stamps with the same clock. From then on its stamps
-    are trusted at any age, because a delayed picture must not pass for a fresh one.
+    A part's ``X-Timestamp`` (seconds) is used as its capture time if it lies within the last second of this machine's
+    monotonic clock: the camera server then runs here and stamps with the same clock. From then on its stamps are
+    trusted at any age, because a delayed picture must not pass for a fresh one.
     """
 
     def __init__(self, url: str) -> None:
@@ -106,7 +106,7 @@ class MjpegSource:
 def header_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False) -> int:
     """The capture stamp in a part's header if it can be of this machine's monotonic clock, else its arrival.
 
-    ``same_clock``: earlier stamps of this stream were, so that an old one is old.
+    ``same_clock``: earlier stamps of this stream were of this clock, so an old stamp is really old.
     """
     stamp = _STAMP.search(header.replace(b"\r\n", b"\n"))
     if stamp is None:
@@ -121,16 +121,16 @@ def capture_ns(stamp_ns: int, arrived_ns: int, *, same_clock: bool) -> int:
 
 
 class V4l2Source:
-    """A local video device, read through OpenCV; stamped with the time that its driver wrote into the buffer.
+    """A local video device, read through OpenCV; stamped with the driver's buffer time.
 
-    The driver stamps when a frame begins or ends to come in, and on the monotonic clock where it says anything
-    (V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC, as UVC does). A stamp of another clock is left for the time of reading.
+    The driver stamps the beginning or end of a frame's arrival, on the monotonic clock if it states one
+    (V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC, as UVC does). A stamp of another clock is replaced by the time of reading.
     """
 
     def __init__(self, device: int, frame_rate_hz: float) -> None:
         self.name = f"v4l2:{device}"
         self._device, self._frame_rate_hz = device, frame_rate_hz
-        # a missing camera is tried four times a second, and OpenCV would warn twice each time
+        # a missing camera is retried four times per second, and OpenCV would warn twice each time
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
 
     def frames(self, stop: threading.Event) -> Iterator[Capture]:
@@ -178,7 +178,7 @@ class RecordingSource:
 
 
 def clip_images(path: Path) -> Iterator[tuple[NDArray[np.uint8], float]]:
-    """BGR image and frames a second of each frame of a video, or of a folder of images by name (30 a second)."""
+    """BGR image and frame rate (Hz) of each frame of a video, or of a folder of images by name (30 Hz)."""
     if path.is_dir():
         for file in sorted(child for child in path.iterdir() if child.suffix.lower() in IMAGES):
             image = cv2.imread(str(file))
@@ -204,7 +204,7 @@ class PushSource:
         self._pusher = threading.Lock()
 
     def claim(self) -> bool:
-        """Become the one client that pushes; False while there is another."""
+        """Become the only client that pushes; False while there is another."""
         return self._pusher.acquire(blocking=False)
 
     def release(self) -> None:
@@ -224,7 +224,7 @@ class PushSource:
                     continue
 
     def frames(self, stop: threading.Event) -> Iterator[Capture]:
-        """Yield what is pushed; never ends by itself (a silent client shows as a stall)."""
+        """Yield pushed frames; never ends by itself (a silent client shows as a stall)."""
         while not stop.is_set():
             try:
                 yield self._queue.get(timeout=0.1)

@@ -1,1 +1,1 @@
-"""The commands of `python -m service`: one module a command, each with a ``main(arguments) -> int``."""
+"""The commands of `python -m service`: one module per command, each with a ``main(arguments) -> int``."""

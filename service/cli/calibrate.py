@@ -26,7 +26,7 @@ from service.tools.calibration_output import figures, profile_of, residual_map, 
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Fit both fingers, or one picture; raises CalibrationError or CameraError naming what was wrong."""
+    """Fit both fingers, or one picture; raises CalibrationError or CameraError naming the fault."""
     options = _parse(arguments)
     if options.picture is not None:
         return _measure(options)
@@ -50,7 +50,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _measure(options: argparse.Namespace) -> int:
-    """One picture: how well its markers obey the model; the row is written whether or not the profile would take it."""
+    """Measure how well the markers of one picture fit the model; the row is written even if the profile refuses it."""
     path: Path = options.picture
     image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
     if image is None:
@@ -64,7 +64,7 @@ def _measure(options: argparse.Namespace) -> int:
         _write(options.json, {"picture": path.name, "sensor": sensor.name, **nothing})
         raise
     own = sensor if of_sensor(grid, sensor) else profile_of(picture, grid, "as_seen", options.pitch_mm, options.fps)
-    fit = rectify(picture, grid, own)  # a grid of another sensor is measured in pixels as it shows them
+    fit = rectify(picture, grid, own)  # a grid of another sensor is measured in the picture's own pixels
     refused = refusal(fit, sensor)
     _write(options.json, {"picture": path.name, "sensor": sensor.name, **figures(fit, refused)})
     print(_line(path.name, fit) + ("" if refused is None else f"\nno calibration of {sensor.name}: {refused}"))
@@ -119,11 +119,11 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         "--picture", type=Path, help="measure this picture of a resting gel instead, write no calibration"
     )
     parser.add_argument("--json", type=Path, help="with --picture: file for residual_px, rows, columns, found_share")
-    parser.add_argument("--sensor", default=DEFAULT_SENSOR, help="its name or its TOML profile (%(default)s)")
-    parser.add_argument("--new-profile", type=Path, metavar="TOML", help="find the markers' counts, write this profile")
-    parser.add_argument("--pitch-mm", type=float, default=1.5, help="of a new profile: distance of its markers (1.5)")
-    parser.add_argument("--fps", type=int, default=30, help="of a new profile: frames a second (30)")
+    parser.add_argument("--sensor", default=DEFAULT_SENSOR, help="name or TOML profile of the sensor (%(default)s)")
+    parser.add_argument("--new-profile", type=Path, metavar="TOML", help="count rows and columns of markers, write this profile")
+    parser.add_argument("--pitch-mm", type=float, default=1.5, help="with --new-profile: distance of its markers (1.5)")
+    parser.add_argument("--fps", type=int, default=30, help="with --new-profile: frames per second (30)")
     parser.add_argument("--out", type=Path, default=Path("calibration.toml"), help="file to write (calibration.toml)")
-    parser.add_argument("--frames", type=int, default=15, help="frames a camera; their median is used (15)")
-    parser.add_argument("--pictures", type=Path, help="folder for rectified pictures and residual maps, to look at")
+    parser.add_argument("--frames", type=int, default=15, help="frames per camera; their median is used (15)")
+    parser.add_argument("--pictures", type=Path, help="folder for rectified pictures and residual maps, for inspection")
     return parser.parse_args(arguments)

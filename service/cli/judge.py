@@ -1,4 +1,4 @@
-"""`python -m service judge`: recorded grasps of real sensors, a row of phases for each run."""
+"""`python -m service judge`: phases of recorded grasps of real sensors, one row per run."""
 
 import argparse
 import io
@@ -13,12 +13,12 @@ from service.tools.judge import report_of, runs_of
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Judge every run and write the rows, 1 if a run could not be read; raises RunError where there is none."""
+    """Judge every run and write the rows; 1 if a run could not be read; raises RunError if there is none."""
     options = _parse(arguments)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # a run's name may have letters that a terminal lacks
-    cv2.setNumThreads(1)  # the milliseconds of a frame are those of one core
+            stream.reconfigure(errors="backslashreplace")  # a run's name may contain letters that a terminal lacks
+    cv2.setNumThreads(1)  # times per frame are those of one core
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text("[]\n", encoding="utf-8")
     rows, evidence, unread_n = [], {}, 0
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str]) -> int:
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     description = "judge recorded grasps, a folder of one video a finger each: open, contact, hold, slip, lost"
     parser = argparse.ArgumentParser(prog="tactile-insertion judge", description=description)
-    parser.add_argument("folder", type=Path, help="holds the runs, or folders of runs")
+    parser.add_argument("folder", type=Path, help="folder of runs, or of folders of runs")
     parser.add_argument("--json", type=Path, dest="out", default=Path("runs/judge.json"), help="file for the rows")
-    parser.add_argument("--evidence", type=Path, help="file for what the slide witness read in each frame")
+    parser.add_argument("--evidence", type=Path, help="file for the slide witness's readings in each frame")
     return parser.parse_args(arguments)

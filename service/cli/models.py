@@ -1,4 +1,4 @@
-"""`python -m service models FOLDER`: what the service would load from a folder, and the card of each network."""
+"""`python -m service models FOLDER`: the networks that the service would load from a folder, with their cards."""
 
 import argparse
 import json
@@ -14,7 +14,7 @@ from service.decision.models import LoadedModel, load_models
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Print every card; raises ModelError, and so ends with 2, wherever the service would refuse to start."""
+    """Print every card; raises ModelError (exit status 2) wherever the service would refuse to start."""
     parser = argparse.ArgumentParser(prog="tactile-insertion models", description="check a folder, print its cards")
     parser.add_argument("folder", nargs="?", type=Path, default=released_models(), help="folder of *.onnx files")
     parser.add_argument("--json", action="store_true", help="print files, hashes and cards as JSON")
@@ -39,14 +39,14 @@ def _seed(run: dict[str, JsonValue]) -> str:
 
 
 def _trained(card: ModelCard) -> str:
-    """The figures, or why there is nothing to trust."""
+    """The figures, or why the network is not to be trusted."""
     if why := card.training_run.get(UNTRAINED):
         return f"UNTRAINED: {why}"
     return ", ".join(f"{name} {value:.3g}" for name, value in card.validation.items()) + " (simulated)"
 
 
 def describe(model: LoadedModel, *, decides: bool) -> list[str]:
-    """A few lines on one file: what it is, what it takes, where it comes from, how it did."""
+    """A few lines about one file: its role, inputs, origin and figures."""
     card = model.card
     size_mb = model.path.stat().st_size / 1e6
     frame = f"{card.frame.width_px} x {card.frame.height_px} {card.frame.colour}"

@@ -1,4 +1,4 @@
-"""`python -m service replay PATH`: a recorded insertion (.mcap) decided again."""
+"""`python -m service replay PATH`: decide a recorded insertion (.mcap) again."""
 
 import argparse
 import json
@@ -10,14 +10,14 @@ from service.tools.redecide import redecide
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Decide it again and compare; raises RecordingError or FileNotFoundError on bad input."""
+    """Decide it again and compare; raises RecordingError or FileNotFoundError on invalid input."""
     parser = argparse.ArgumentParser(
         prog="tactile-insertion replay",
         description="Decide a recorded insertion again and compare every message bit for bit.",
     )
     parser.add_argument("path", type=Path, help="insertion.mcap of a recording")
-    parser.add_argument("--models", type=Path, metavar="DIR", help="the models, where they lie elsewhere now")
-    parser.add_argument("--json", action="store_true", help="print how many messages there are and which differ")
+    parser.add_argument("--models", type=Path, metavar="DIR", help="folder of the models, if they have moved")
+    parser.add_argument("--json", action="store_true", help="print the number of messages and the differing ones")
     options = parser.parse_args(arguments)
     messages_n, differing = redecide(options.path, options.models)
     if options.json:

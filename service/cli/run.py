@@ -20,17 +20,17 @@ from service.settings import Settings, read_settings
 from service.web.app import create_app
 from service.web.server import bind, check_certificate, open_many_files, web_server
 
-SWITCH_S = 0.0005  # a thread that waits for the interpreter waits ten times less than by default
+SWITCH_S = 0.0005  # a thread waits ten times less for the interpreter than by default
 
 
 def harmless(_: object, __: str, line: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
-    """Write out what clients and cameras may have put into a text to command the terminal; tracebacks are ours."""
+    """Escape control characters that clients and cameras may have put into a text; tracebacks are ours."""
     return {key: printable(v) if isinstance(v, str) and key != "exception" else v for key, v in line.items()}
 
 
 @contextlib.contextmanager
 def logging_to_standard_error(settings: Settings) -> Iterator[None]:
-    """Structured lines on standard error, JSON where asked for; afterwards the library's own defaults hold again."""
+    """Structured lines on standard error, JSON if configured; afterwards the library's defaults apply again."""
     lines = LogLines(lambda: sys.stderr)
     renderer = structlog.processors.JSONRenderer() if settings.log_json else structlog.dev.ConsoleRenderer(colors=False)
     structlog.configure(
@@ -70,13 +70,13 @@ def leaving_in_order() -> Iterator[None]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Serve until interrupted; bad input raises ContractError or OSError before anything listens."""
+    """Serve until interrupted; invalid input raises ContractError or OSError before anything listens."""
     settings = read_settings(arguments)
     check_certificate(settings)
     use_few_arenas()
     open_many_files()
     sys.setswitchinterval(SWITCH_S)
-    cv2.setNumThreads(1)  # one thread a finger beats a pool that wakes for 2 ms of work
+    cv2.setNumThreads(1)  # one thread per finger beats a pool that wakes for 2 ms of work
     with (
         leaving_in_order(),
         logging_to_standard_error(settings),

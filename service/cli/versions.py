@@ -1,4 +1,4 @@
-"""`python -m service versions`: which version of the networks decides in a running service, and changes by hand."""
+"""`python -m service versions`: which version of the networks decides in a running service, and manual changes."""
 
 import argparse
 import json
@@ -23,14 +23,14 @@ TIMEOUT_S = 60.0
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Ask a running service and print its versions; raises ContractError with its reason where it refuses."""
+    """Ask a running service and print its versions; raises ContractError with its reason if it refuses."""
     parser = argparse.ArgumentParser(
         prog="tactile-insertion versions", description="versions of the networks in a running service"
     )
-    parser.add_argument("what", nargs="?", choices=ASKED, default="show", help="show (default), or change by hand")
-    parser.add_argument("folder", nargs="?", type=Path, help="of shadow: the networks to run beside")
-    parser.add_argument("--url", default="http://127.0.0.1:8000", help="where the service listens")
-    parser.add_argument("--token-file", type=Path, default=state_folder() / TOKEN_FILE, help="for administration")
+    parser.add_argument("what", nargs="?", choices=ASKED, default="show", help="show (default), or a manual change")
+    parser.add_argument("folder", nargs="?", type=Path, help="for shadow: folder of the networks to run in shadow")
+    parser.add_argument("--url", default="http://127.0.0.1:8000", help="address of the service")
+    parser.add_argument("--token-file", type=Path, default=state_folder() / TOKEN_FILE, help="file of the admin token")
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
     options = parser.parse_args(arguments)
     if (options.what == "shadow") != (options.folder is not None):
@@ -56,7 +56,7 @@ def _ask(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def described(state: dict[str, Any]) -> list[str]:
-    """A line a version, and what could not be done."""
+    """One line per version, and any problem."""
     lines = [f"active    {state['active']['version']}  {state['active']['name']}"]
     for role in ("shadow", "previous"):
         if one := state[role]:

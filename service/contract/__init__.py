@@ -1,6 +1,6 @@
-"""What the packages exchange: frames, model cards and wire messages.
+"""Types that the packages exchange: frames, model cards and wire messages.
 
-Pure data: numpy and pydantic only. This is the one part of the service that the other packages may import.
+Pure data: numpy and pydantic only. This is the only part of the service that the other packages may import.
 """
 
 from service.contract.frames import (

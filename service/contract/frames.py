@@ -23,7 +23,7 @@ _HEADER = struct.Struct("<4sBBHHHQQ")  # magic, finger, channels, height, width,
 
 
 class ContractError(ValueError):
-    """A message, frame or card breaks the contract; the text names what was wrong and what was expected."""
+    """A message, frame or card breaks the contract; the text names the fault and the expectation."""
 
 
 class Contract(BaseModel):
@@ -33,13 +33,13 @@ class Contract(BaseModel):
 
 
 def first_error(error: ValidationError, whole: str = "contents") -> str:
-    """The first thing a validation found, as "key.below: what was wrong"; ``whole`` names what has no key."""
+    """The first error of a validation, as "key.below: error"; ``whole`` names a part without a key."""
     first = error.errors()[0]
     return f"{'.'.join(str(part) for part in first['loc']) or whole}: {first['msg']}"
 
 
 class FrameSpec(Contract):
-    """What a camera frame or a network input looks like; a colour swap passes every shape check, so it is declared."""
+    """Format of a camera frame or a network input; a colour swap passes every shape check, so it is declared."""
 
     height_px: int = Field(gt=0, le=MAX_SIDE_PX)
     width_px: int = Field(gt=0, le=MAX_SIDE_PX)
@@ -91,7 +91,7 @@ class FramePair:
 
 
 def encoded_bytes(spec: FrameSpec) -> int:
-    """How many bytes :func:`encode_frame` makes of a frame of this size."""
+    """Size of :func:`encode_frame`'s result for a frame of this size."""
     return _HEADER.size + math.prod(spec.shape)
 
 

@@ -1,7 +1,7 @@
 """The model card: everything the service must know of a network, inside the ONNX file it describes.
 
-One ``metadata_props`` key holds strict JSON. Keys that other tools add beside it are ignored; inside it nothing
-unknown is accepted. The service refuses a model without a valid card, and two models whose cards disagree.
+One ``metadata_props`` key holds strict JSON. Other tools' keys beside it are ignored; unknown keys inside it are
+refused. The service refuses a model without a valid card, and two models whose cards disagree.
 """
 
 import math
@@ -16,7 +16,7 @@ from service.contract.frames import Contract, ContractError, FrameSpec, first_er
 from service.contract.sensor import MarkerSpec, Sensor
 
 CARD_KEY = "tactile_insertion.card"
-UNTRAINED = "untrained"  # in ``training_run``: why a network that was exported all the same may as well be guessed
+UNTRAINED = "untrained"  # in ``training_run``: why an exported network is no better than guessing
 
 Sign = Literal[-1, 0, 1]
 Role = Literal["direction", "magnitude", "joint", "pair"]
@@ -24,13 +24,13 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 CONDITIONS = ("gap_width_mm", "grasp_height_mm", "grip_n", "shear_reach_mm", "speed_mm_s", "frame_spacing_mm")
-"""What may be told beside the field, in the order of the graph's input; 0 where it is not known.
+"""Conditions that may be stated besides the field, in the order of the graph's input; 0 if unknown.
 
-``shear_reach_mm`` is how far the gel shears before it slides (mu p t / G); ``frame_spacing_mm`` how far the arm moves
-from frame to frame, which the service knows itself.
+``shear_reach_mm`` is the shear of the gel at which it slides (mu p t / G); ``frame_spacing_mm`` the arm's travel from
+frame to frame, which the service measures itself.
 """
 MARKER_PITCH = "marker_pitch_mm"
-"""Also has a trained range, though no graph reads it."""
+"""Also has a trained range, although no graph reads it."""
 
 
 class Lattice(Contract):
@@ -49,7 +49,7 @@ class Lattice(Contract):
 
 
 class Span(Contract):
-    """What a network was trained on of one quantity, both ends included."""
+    """Training range of a network for one quantity, both ends included."""
 
     low: float
     high: float
@@ -89,13 +89,13 @@ class Pressing(Contract):
 
     @property
     def depth_mm(self) -> float:
-        """How far the object is pressed for a whole decision."""
+        """Travel of the press for a whole decision."""
         return self.steps_n * self.step_mm
 
     def outside(self, conditions: Mapping[str, float | None]) -> str:
-        """Which condition lies outside what the network was trained on, as a sentence; empty if none does.
+        """Which condition lies outside the network's training range, as a sentence; empty if none does.
 
-        What is not told is not outside; a number that is not finite is.
+        An unstated condition is not outside; a non-finite one is.
         """
         for name, span in self.trained.items():
             value = conditions.get(name)
@@ -223,19 +223,19 @@ class ModelCard(Contract):
 
     @property
     def profile(self) -> Sensor:
-        """The sensor it was made for, the only one there was where the card does not say."""
+        """The sensor it was made for; for old cards without the field, the only sensor of that time."""
         return self.sensor or Sensor.load()
 
     @property
     def input_shape(self) -> tuple[int, int, int]:
-        """What the graph reads of one finger at one instant: (H, W, 3) or (rows, columns, 3)."""
+        """Input shape of the graph for one finger at one instant: (H, W, 3) or (rows, columns, 3)."""
         if self.pressing:
             return (self.pressing.lattice.rows, self.pressing.lattice.columns, 3)
         return (self.markers.rows, self.markers.columns, 3) if self.markers else self.frame.shape
 
     @property
     def input_dtype(self) -> type[np.uint8 | np.float32]:
-        """Of pictures uint8, of fields float32."""
+        """Uint8 for pictures, float32 for fields."""
         return np.float32 if self.markers or self.pressing else np.uint8
 
     def check(self, pair: NDArray[np.uint8] | NDArray[np.float32]) -> None:

@@ -1,4 +1,4 @@
-"""What the refusal of a file says: the key, what is allowed there, and what was given."""
+"""Texts for refusing a file: the key, its allowed values, and the given value."""
 
 import difflib
 from collections.abc import Iterable
@@ -10,7 +10,7 @@ SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 
 
 def nearest(name: str, allowed_names: Iterable[str]) -> str:
-    """A hint at the allowed name that is most alike, or at all of them where none is."""
+    """A hint at the most similar allowed name, or at all of them if none is similar."""
     names = sorted(allowed_names)
     near = difflib.get_close_matches(name, names, n=1)
     return f"; did you mean {near[0]!r}?" if near else f"; allowed: {', '.join(names)}" if names else ""
@@ -37,9 +37,9 @@ def allowed(table: type[BaseModel] | None, key: str) -> str:
 
 
 def describe(error: ValidationError, model: type[BaseModel], above: str = "", *, secret: bool = False) -> str:
-    """One line on the first thing wrong, an unknown key before all: key, what is expected, what was given.
+    """One line on the first error, unknown keys first: key, expectation, given value.
 
-    ``above`` is the key of the table that ``model`` reads; ``secret``: what was given is not shown.
+    ``above`` is the key of the table that ``model`` reads; ``secret``: the given value is not shown.
     """
     wrong = error.errors()
     first = next((one for one in wrong if one["type"] == "extra_forbidden"), wrong[0])

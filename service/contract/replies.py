@@ -1,4 +1,4 @@
-"""Answers that need nothing of a session: clocks, heartbeats, and to a client of another protocol."""
+"""Answers that need no session: clocks, heartbeats, and to a client of another protocol."""
 
 from service.contract.wire import PROTOCOL, Cause, ClientHeartbeat, ClientHello, Clock, Ending, Fault, ServiceHeartbeat
 
@@ -12,7 +12,7 @@ def unspoken(hello: ClientHello) -> Fault | None:
 
 
 def clock(message: ClientHello | ClientHeartbeat, now_ns: int) -> Clock | None:
-    """The answer to a client's clock at ``now_ns`` of the service's; None for one that did not ask."""
+    """The answer to a client's clock at ``now_ns`` of the service's clock; None if the client did not ask."""
     return None if message.sent_ns is None else Clock(sent_ns=message.sent_ns, service_ns=now_ns)
 
 
@@ -23,7 +23,7 @@ def beat(message: ClientHeartbeat, now_ns: int, frame_age_ms: float | None) -> S
 
 
 def ending(cause: Cause | None) -> Ending:
-    """How an insertion ended, by what ended it: inserted where nothing speaks against it."""
+    """The outcome of an insertion from its cause: inserted if there are no objections."""
     if cause is None:
         return "inserted"
     if cause == "not_confirmed":

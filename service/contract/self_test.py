@@ -1,7 +1,7 @@
-"""A network's self-test: its outputs on fixed frames where it was released, compared wherever it is loaded.
+"""A network's self-test: its outputs on fixed frames at its release, compared wherever it is loaded.
 
 An int8 build that saturates on a processor without VNNI, or a runtime that computes differently, is silently wrong;
-this test shows it. The frames are integers made from integers, so they are the same on every machine.
+this test detects it. The frames are integers made from integers, so they are the same on every machine.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,15 +18,15 @@ Arrays = dict[str, NDArray[Any]]
 Run = Callable[[Arrays], Mapping[str, NDArray[Any]]]
 CONDITIONS = (56.0, 40.0, 20.0, 0.8, 10.0, 0.33)
 MM = 0.0625
-"""What counts as a pixel where fields are in mm: a power of two, so that it adds no rounding."""
+"""The size of a pixel where fields are in mm: a power of two, so that it adds no rounding."""
 GEOMETRY_MM = {"gap_width_mm": 56.0, "grasp_height_mm": 40.0}
 MOST_VALUES = 32
 TOLERANCE = {"none": 1e-3, "int8": 5e-2}
-"""Largest difference between two machines, relative to the largest output or one; rounding differs, arithmetic not."""
+"""Largest difference between two machines, relative to the largest output or one: it allows only rounding."""
 
 
 def self_test_frames(sensor: Sensor, spec: FrameSpec, count: int) -> NDArray[np.uint8]:
-    """Dotted frames that shear a pixel a frame, the fingers in opposite directions: uint8 [count, 2, H, W, 3]."""
+    """Dotted frames that shear by a pixel per frame, the fingers in opposite directions: uint8 [count, 2, H, W, 3]."""
     v, u = np.mgrid[: spec.height_px, : spec.width_px]
     step = np.arange(count)[:, None, None, None]
     way = np.array([1, -1])[None, :, None, None]
@@ -38,7 +38,7 @@ def self_test_frames(sensor: Sensor, spec: FrameSpec, count: int) -> NDArray[np.
 
 
 def self_test_markers(spec: MarkerSpec | Lattice, count: int) -> NDArray[np.float32]:
-    """The same motion as marker fields, every 19th marker unseen: float32 [count, 2, rows, columns, 3]."""
+    """The same motion as marker fields, every 19th marker invisible: float32 [count, 2, rows, columns, 3]."""
     v, u = np.mgrid[: spec.rows, : spec.columns]
     step = np.arange(count)[:, None, None, None]
     way = np.array([1, -1])[None, :, None, None]
@@ -48,7 +48,7 @@ def self_test_markers(spec: MarkerSpec | Lattice, count: int) -> NDArray[np.floa
 
 
 def self_test_input(card: ModelCard) -> NDArray[Any]:
-    """The fixed decision as the card's graph reads it: [frames_per_decision, 2, *input_shape]."""
+    """The fixed decision as input of the card's graph: [frames_per_decision, 2, *input_shape]."""
     if card.markers:
         return self_test_markers(card.markers, card.frames_per_decision)
     if card.pressing:
@@ -77,14 +77,14 @@ def run_self_test(card: ModelCard, run: Run) -> dict[str, tuple[float, ...]]:
 
 
 def make_self_test(card: ModelCard, run: Run) -> SelfTest:
-    """The test that goes into a card: run it where the network is released."""
+    """The test for a card: run it where the network is released."""
     return SelfTest(outputs=run_self_test(card, run), tolerance=TOLERANCE[card.quantisation])
 
 
 def check_self_test(card: ModelCard, run: Run, source: str) -> None:
-    """Raise ContractError, naming output and difference, if a network computes differently than where it was released.
+    """Raise ContractError, naming output and difference, if a network computes differently than at its release.
 
-    A card without a test passes unless it is int8: those builds are the ones that go wrong by processor.
+    A card without a test passes unless it is int8: only those builds depend on the processor.
     """
     if card.self_test is None:
         if card.quantisation == "int8":

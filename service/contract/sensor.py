@@ -1,4 +1,4 @@
-"""The sensor: what belongs to one type of tactile finger and is written nowhere else, read from a TOML profile.
+"""The sensor: all properties of one type of tactile finger, defined only here, read from a TOML profile.
 
 Finger frame: u to the right, v down; pixel centres lie at integers. Pixels are those of the rectified frame unless a
 key says raw. Profiles that are known by name lie in `service/sensors`.
@@ -18,7 +18,7 @@ from service.contract.toml import read_toml
 
 SENSORS = Path(__file__).parents[1] / "sensors"
 DEFAULT_SENSOR = "gelslim_2019"
-"""The sensor of every dataset, checkpoint and model card that is older than its sensor field."""
+"""The sensor of every dataset, checkpoint and model card older than its sensor field."""
 
 Side = Annotated[int, Field(ge=64, le=MAX_SIDE_PX)]
 Point = Annotated[tuple[float, float], Field(strict=False)]
@@ -28,7 +28,8 @@ Corners = Annotated[tuple[Point, Point, Point, Point], Field(strict=False)]
 class MarkerSpec(Contract):
     """A grid of markers in the rectified frame.
 
-    ``first_px`` (u, v) is where the marker of the first row and column rests, the others ``pitch_px`` apart.
+    ``first_px`` (u, v) is the rest position of the marker in the first row and column, the others are ``pitch_px``
+    apart.
     """
 
     rows: int = Field(ge=2, le=256)
@@ -40,10 +41,10 @@ class MarkerSpec(Contract):
 class Sensor(Contract):
     """The profile of a tactile sensor.
 
-    ``first_marker_px`` (u, v): where the first marker of the first row rests. ``gel_width_mm`` (u) and
+    ``first_marker_px`` (u, v): rest position of the first marker of the first row. ``gel_width_mm`` (u) and
     ``gel_height_mm`` (v): the pad that is pressed. ``gel_margin_mm`` (u, v): from its left and upper edge to the first
-    marker. ``corners_raw_px``, the view of the lens: where the corner pixels of the rectified frame lie in the raw
-    one (nominally), upper left, upper right, lower right, lower left.
+    marker. ``corners_raw_px``, the view of the lens: (nominal) positions of the rectified frame's corner pixels in the
+    raw frame, upper left, upper right, lower right, lower left.
     """
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")
@@ -65,9 +66,9 @@ class Sensor(Contract):
 
     @staticmethod
     def load(name_or_path: str | Path = DEFAULT_SENSOR) -> "Sensor":
-        """The profile of a known name, or of a TOML file, which is named after the file unless it says otherwise.
+        """The profile of a known name, or of a TOML file, which is named after the file unless it states a name.
 
-        Raises ContractError in one line: unknown sensor, unreadable file, unknown key, or a value that cannot be.
+        Raises ContractError in one line: unknown sensor, unreadable file, unknown key, or an impossible value.
         """
         path = Path(name_or_path)
         return _read(path) if path.suffix == ".toml" else _known(str(name_or_path))
@@ -102,12 +103,12 @@ class Sensor(Contract):
 
     @property
     def raw(self) -> FrameSpec:
-        """What the camera delivers."""
+        """The camera's frame."""
         return FrameSpec(height_px=self.raw_height_px, width_px=self.raw_width_px, rectified=False)
 
     @property
     def rectified(self) -> FrameSpec:
-        """What is tracked and shown to networks."""
+        """The frame that is tracked and shown to networks."""
         return FrameSpec(height_px=self.height_px, width_px=self.width_px)
 
     @property
@@ -120,7 +121,7 @@ class Sensor(Contract):
         )
 
     def marker_rest_px(self) -> NDArray[np.float32]:
-        """Where each marker rests: float32 [rows, columns, 2], (u, v)."""
+        """Rest position of each marker: float32 [rows, columns, 2], (u, v)."""
         u = self.first_marker_px[0] + self.marker_pitch_px * np.arange(self.marker_columns)
         v = self.first_marker_px[1] + self.marker_pitch_px * np.arange(self.marker_rows)
         return np.stack(np.meshgrid(u, v), -1).astype(np.float32)

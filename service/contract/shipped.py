@@ -1,4 +1,4 @@
-"""Where the files lie that a release ships beside its code: in a checkout, or where the wheel puts its data."""
+"""Locates the files that a release ships beside its code: in a checkout, or where the wheel puts its data."""
 
 import sysconfig
 from pathlib import Path
@@ -7,7 +7,7 @@ from pathlib import Path
 def released_models() -> Path:
     """Folder of the released networks: in `models` here, else in the checkout's, else in the installed ones.
 
-    Those that read depth lie in its folder `pressing`. Where none holds an ONNX file the answer is `models`, so that an
+    Those that read depth lie in its folder `pressing`. If none holds an ONNX file the answer is `models`, so that an
     error names the folder a user would expect.
     """
     here = Path("models")

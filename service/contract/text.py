@@ -1,4 +1,4 @@
-"""Text for a terminal: what comes from elsewhere made harmless, lines that fit, and a reader who has left."""
+"""Text for a terminal: escaping of foreign text, wrapped lines, and a reader who has left."""
 
 import os
 import re
@@ -16,10 +16,10 @@ def printable(line: str) -> str:
 
 
 def fitted(line: str, indent: int | None = None, width: int = WIDTH) -> str:
-    """The line in at most so many columns, and those that follow the first indented.
+    """The line in at most ``width`` columns, with its continuation lines indented.
 
-    By default they go below what stands behind the line's own label. A line whose longest word, a path say, would not
-    fit all the same stays whole.
+    By default they are indented below the text after the line's own label. A line whose longest word, for example a
+    path, would not fit anyway stays whole.
     """
     if indent is None:
         label = re.match(r" *(\S+ )*\S+ {2,}", line[:24])
@@ -30,14 +30,14 @@ def fitted(line: str, indent: int | None = None, width: int = WIDTH) -> str:
 
 
 def read_by_somebody(work: Callable[[], int]) -> int:
-    """What the work returns; quietly 1 where nobody reads standard output any more, as after ``| head``."""
+    """Result of the work; silently 1 if nobody reads standard output any more, as after ``| head``."""
     try:
         code = work()
         sys.stdout.flush()
     except BrokenPipeError:
         output = select.poll()
         output.register(sys.stdout.fileno(), 0)
-        if not output.poll(0):  # its other end is there: the pipe that broke is another one
+        if not output.poll(0):  # its other end is there: another pipe broke
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1

@@ -1,4 +1,4 @@
-"""The token that drives a service: made at its first start, and found by the clients of the same user without help."""
+"""The token that drives a service: made at its first start, and found automatically by the same user's clients."""
 
 import contextlib
 import os
@@ -13,11 +13,11 @@ HINT = "python -c 'import secrets; print(secrets.token_urlsafe())' makes one"
 
 
 class TokenError(ContractError):
-    """A token cannot be used, or its file not be read or written; the text names it and what was expected."""
+    """A token cannot be used, or its file cannot be read or written; the text names it and the expectation."""
 
 
 def state_folder() -> Path:
-    """Where the service keeps what outlives it: ``TACTILE_STATE``, else the user's state folder (XDG)."""
+    """Folder of the service's persistent state: ``TACTILE_STATE``, else the user's state folder (XDG)."""
     if given := os.environ.get("TACTILE_STATE"):
         return Path(given)
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "tactile-insertion"
@@ -34,7 +34,7 @@ def check_token(token: str) -> str:
 
 
 def read_token(path: Path) -> str:
-    """The token of a file; raises TokenError where it holds none, OSError where it cannot be read."""
+    """The token in a file; raises TokenError if it holds none, OSError if it cannot be read."""
     try:
         return check_token(path.read_text(encoding="utf-8").strip())
     except (TokenError, UnicodeDecodeError) as error:
@@ -42,10 +42,9 @@ def read_token(path: Path) -> str:
 
 
 def keep_token(folder: Path) -> tuple[str, Path]:
-    """The token of a state folder and its file, made where there is none; raises TokenError.
+    """The token of a state folder and its file, created if there is none; raises TokenError.
 
-    The file appears whole or not at all, readable by its owner alone. One that others can read or that is not ours is
-    refused.
+    The file appears atomically, readable by its owner alone. A file that others can read or own is refused.
     """
     path = folder / TOKEN_FILE
     try:
@@ -62,7 +61,7 @@ def keep_token(folder: Path) -> tuple[str, Path]:
 
 
 def _make(path: Path) -> None:
-    """Write a fresh token beside the file's place and link it there, unless another process was first."""
+    """Write a new token to a temporary file and link it into place, unless another process was first."""
     if os.path.lexists(path):
         return
     fresh = path.with_name(f".{path.name}-{os.getpid()}-{secrets.token_hex(4)}")

@@ -1,4 +1,4 @@
-"""Configuration files of every room: read alike, refused alike."""
+"""Configuration files of every package: read and refused in the same way."""
 
 import tomllib
 from pathlib import Path
@@ -8,14 +8,14 @@ from service.contract.frames import ContractError
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """The table of a TOML file; raises OSError where there is no file to read, ContractError where it is no TOML."""
+    """The table of a TOML file; raises OSError if it cannot be read, ContractError if it is not TOML."""
     return parse_toml(Path(path).read_bytes(), path)
 
 
 def parse_toml(content: bytes, origin: str | Path) -> dict[str, Any]:
-    """The table of a TOML file's bytes; raises ContractError, which names the origin, where they are no TOML.
+    """The table of a TOML file's bytes; raises ContractError, which names the origin, if they are not TOML.
 
-    Not everything that is no TOML is a TOMLDecodeError: bytes that are no UTF-8, an integer of thousands of digits,
+    Invalid TOML does not always raise a TOMLDecodeError: bytes that are not UTF-8, an integer of thousands of digits,
     brackets nested deeper than the stack.
     """
     try:

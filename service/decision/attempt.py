@@ -1,4 +1,4 @@
-"""One attempt of an insertion: from the reference to the frames the networks decide on."""
+"""One attempt of an insertion: from the reference to the frames behind the decision."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -29,12 +29,12 @@ from service.decision.turning import LastingTurn
 from service.perception.observation import FingerWatch, Observation, PairObservation
 from service.perception.slip.onset import OnsetDetector
 
-RING_PAIRS = 24  # onset is certain a few frames late; the ring reaches back past it
+RING_PAIRS = 24  # the onset is confirmed a few frames late; the ring reaches back past it
 LEAST_WIDTH_MM = 2.0  # fingers closer than this hold nothing but each other
 
 
 class Stage(Enum):
-    """Where an attempt stands."""
+    """Progress of an attempt."""
 
     ARMING = auto()  # waiting for the first pair captured after `arm`
     ARMED = auto()  # reference taken, watching for motion and slip
@@ -44,7 +44,7 @@ class Stage(Enum):
 
 @dataclass(frozen=True, slots=True)
 class WorkResult:
-    """What the model thread hands back: evidence or a refusal of one attempt, and the time it took."""
+    """Result of the model thread: evidence or a refusal for one attempt, and the time it took."""
 
     attempt: int
     generation: int
@@ -54,7 +54,7 @@ class WorkResult:
 
 
 def unlike_grids(both: PairObservation) -> list[str]:
-    """What is wrong where the fingers' gels carry different grids: no network was trained on such a pair."""
+    """The fault if the fingers' gels carry different grids: no network was trained on such a pair."""
     (rows, columns), (right_rows, right_columns) = (finger.field.valid.shape for finger in both.fingers)
     if (rows, columns) == (right_rows, right_columns):
         return []
@@ -62,16 +62,16 @@ def unlike_grids(both: PairObservation) -> list[str]:
 
 
 def nothing_held(both: PairObservation) -> str:
-    """Why the hand counts as empty, or nothing: both gels look as they do where nothing touches them.
+    """Why the hand counts as empty, or "": both gels look as if nothing touches them.
 
-    One finger alone may look so, under a flat object in a light grip. Stiff gels may show the object's weight alone.
+    One finger alone may look so, under a flat object in a light grip. Stiff gels may show only the object's weight.
     """
     weighed = all((finger.weight or 0.0) >= 1.0 for finger in both.fingers)
     return "both gels look as they do when nothing touches them" if both.looks_open and not weighed else ""
 
 
 def implausible_width(arm: Arm) -> str:
-    """Why the gripper's width cannot be that of a held object, or nothing."""
+    """Why the gripper's width cannot be that of a held object, or ""."""
     if arm.gripper_width_mm is None or arm.gripper_width_mm >= LEAST_WIDTH_MM:
         return ""
     return f"the fingers are {arm.gripper_width_mm:.1f} mm apart, a held object keeps them at least {LEAST_WIDTH_MM:g}"
@@ -81,8 +81,8 @@ def implausible_width(arm: Arm) -> str:
 class Attempt:
     """State of one attempt; ``generation`` separates a re-armed attempt's late results from its current ones.
 
-    ``fed``: the networks were given the last of their input. ``stop_ns``: capture of the frame that stopped the arm.
-    ``turn``: what earlier attempts have left of a turn of the object.
+    ``fed``: the networks have received their last input. ``stop_ns``: capture of the frame that stopped the arm.
+    ``turn``: the turn of the object left by earlier attempts.
     """
 
     arm: Arm
@@ -93,7 +93,7 @@ class Attempt:
     reference: PairObservation | None = None
     armed: Armed | None = None
     descending_ns: int | None = None
-    leg_ns: int | None = None  # when it was told to go on at the speed it now has
+    leg_ns: int | None = None  # start of its present speed
     pushes: list[Push] = field(default_factory=list)
     ring: deque[PairObservation] = field(default_factory=lambda: deque(maxlen=RING_PAIRS))
     onset_ns: int | None = None
@@ -111,7 +111,7 @@ class Attempt:
     slip_sent: bool = False
     stop_ns: int | None = None
     stale_sent: bool = False
-    stopped_ns: int | None = None  # when the arm came to stand
+    stopped_ns: int | None = None  # when the arm came to rest
     outcome: Outcome | None = None
     depth_mm: float = 0.0
     gripper_width_mm: float | None = None
@@ -123,7 +123,7 @@ class Attempt:
 
     @property
     def spoilt(self) -> bool:
-        """Whether its reference is no longer valid: a stop was sent, or a camera failed meanwhile."""
+        """Whether its reference is no longer valid: a stop was sent, or a camera has failed since."""
         return self.slip_sent or self.stale_sent or bool(self.broken)
 
     def rearm(self, watch: FingerWatch, frame: TactileFrame) -> None:
@@ -133,9 +133,9 @@ class Attempt:
             self.rearmed.add(frame.finger)
 
     def take_reference(self, both: PairObservation) -> Armed | Refused | None:
-        """Arm with this pair if both fingers were rearmed and are readable; else keep the problem and return None.
+        """Arm with this pair if both fingers are rearmed and readable; else store the problem and return None.
 
-        Refuses where the gels or the gripper show that nothing is held.
+        Returns Refused if the gels or the gripper show that nothing is held.
         """
         if self.rearmed != {"left", "right"}:
             return None
@@ -162,14 +162,14 @@ class Attempt:
         return {"insertion_id": self.arm.insertion_id, "attempt": self.arm.attempt}
 
     def refusal(self, reason: RefusalReason, detail: str) -> Refused:
-        """Why this attempt is not armed; it is over."""
+        """The refusal to arm this attempt, which ends it."""
         self.stage = Stage.DECIDED
         return Refused(**self._named, reason=reason, detail=detail)
 
     def watching(self, observation: Observation, now_ns: int) -> Iterator[Watching]:
-        """`watching`, if with this frame both fingers were judged on newer ones than before.
+        """`watching`, if with this frame both fingers have been judged on newer frames than before.
 
-        Its stamp is the older finger's: neither of them detects slip for the other.
+        Its stamp is the older finger's: neither finger detects slip for the other.
         """
         if self.spoilt or not observation.informative:
             return
@@ -193,14 +193,14 @@ class Attempt:
         self.onset_ns = min((stamp_ns for stamp_ns in onsets if stamp_ns is not None), default=None)
 
     def dismisses(self, descent: Descent) -> bool:
-        """Whether what was taken for the onset was none, as when a heavy object sags: then wait for it anew."""
+        """Whether the detected onset was none, as when a heavy object sags; if so, wait for the next one."""
         if self.stage is not Stage.ARMED or self.spoilt or descent.problem or not descent.enough or descent.felt:
             return False
         self._await_onset()
         return True
 
     def _await_onset(self) -> None:
-        """From the newest pair on, against what the gels show now."""
+        """Wait for the onset from the newest pair on, relative to its gel state."""
         pair = self.ring[-1]
         self.onset_again = tuple(OnsetDetector() for _ in pair.fingers)
         for watch, one in zip(self.onset_again, pair.fingers, strict=True):
@@ -234,7 +234,7 @@ class Attempt:
         return fresh
 
     def conditions(self) -> dict[str, float | None]:
-        """The conditions of the attempt as far as the client told them; see `model_card.CONDITIONS`."""
+        """The conditions of the attempt as stated by the client; see `model_card.CONDITIONS`."""
         arm = self.arm
         return {
             "gap_width_mm": arm.gap_width_mm,
@@ -245,16 +245,16 @@ class Attempt:
         }
 
     def descends(self, message: Descending, now_ns: int) -> None:
-        """The arm goes down, from now on at the speed told; it may change that on the way."""
+        """The arm descends, from now on at the stated speed, which it may change on the way."""
         self.descending_ns = now_ns if self.descending_ns is None else self.descending_ns
         self.speed_mm_s, self.start_mm, self.leg_ns = message.speed_mm_s, message.start_mm, now_ns
 
     def stops(self, now_ns: int) -> None:
-        """The arm is ordered to stop because of a frame captured then."""
+        """The arm is ordered to stop because of a frame captured at ``now_ns``."""
         self.slip_sent, self.stop_ns = True, now_ns
 
     def take_steps(self, card: ModelCard) -> list[NDArray[np.float32]]:
-        """The steps of depth that the newest pair completes; the descent that shows them begins with the onset."""
+        """The steps of depth that the newest pair completes; the descent behind them begins at the onset."""
         pair, descent = self.ring[-1], self.descent
         if self.stop_ns is not None and pair.captured_ns > self.stop_ns:
             return []
@@ -291,7 +291,7 @@ class Attempt:
         }
 
     def read_by_depth(self) -> dict[str, NDArray[np.generic]]:
-        """The decision, and what networks that read steps of depth were shown; no pictures."""
+        """The decision, and the input of networks that read steps of depth; no pictures."""
         decision = {"decision": np.array(self.decision.model_dump_json() if self.decision else "{}")}
         if not self.steps or self.descent is None or self.reference is None:
             return decision

@@ -1,13 +1,13 @@
 """A grid Bayes filter over the position error (x, theta) at the start of an insertion.
 
-The moves between attempts are commands, hence known: the belief stays in coordinates of the first attempt's error and
-an attempt's evidence is evaluated at first error + sum of moves. What moves cannot explain is that an object creeps in
-the hand each time it is blocked: its bottom goes outwards, which is expected before it is measured.
+The moves between attempts are commands, hence known: the belief stays in coordinates of the first attempt's error, and
+an attempt's evidence is evaluated at first error + sum of moves. Moves do not explain the creep of an object in the
+hand each time it is blocked: its bottom moves outwards, which the filter expects before it is measured.
 
-Two hypotheses are weighed against each other, each with its own belief. Under "trusted" the networks' estimates hold
-with their stated spread. Under "gain unknown" an estimate gives the side reliably but its size only up to a factor, as
-with an object held in a way that the networks never saw. When an attempt contradicts the earlier ones, the weight moves
-over, and the search closes in on the side instead of swinging past it.
+Two hypotheses compete, each with its own belief. Under "trusted" the networks' estimates hold with their stated spread.
+Under "gain unknown" an estimate gives the side reliably but its size only up to a factor, as with an object held in a
+way that the networks never saw. When an attempt contradicts the earlier ones, the weight shifts to "gain unknown", and
+the search closes in on the side instead of swinging past it.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from service.contract.model_card import Expectations
 from service.decision.evidence import Density, Evidence, Floats, Refusal
 from service.decision.outline import YAW_SHARES, Outlines
 
-HALF_RANGE = 22.0  # grid reaches +-22 mm and +-22 deg
+HALF_RANGE = 22.0  # the grid covers +-22 mm and +-22 deg
 CELL = 0.5
 PRIOR_SOFTNESS = 0.6
 SURE_INSERT = 0.95  # probability of insertion at zero error
@@ -24,12 +24,12 @@ SHORT_LEVER_MM, UNKNOWN_LEVER_MM = 30.0, 45.0
 # Both networks see the same images, so their errors are correlated: each gets less than its full weight.
 DIRECTION_WEIGHT, MAGNITUDE_WEIGHT = 0.3, 0.9
 OUTLIER_SHARE = 0.02
-DEFAULT_SIGMA = (3.5, 4.5)  # of a magnitude network that gives none
+DEFAULT_SIGMA = (3.5, 4.5)  # of a magnitude network without a sigma
 USUAL = Expectations()
-UNINFORMATIVE, FINEST = 100.0, 0.01  # mm and deg: a flat likelihood, and the sharpest that a half-millimetre grid needs
-INCONSISTENT_BELOW = 0.05  # Bayes factor of all that was learnt against knowing nothing
-RANGE = 15.0  # of the errors the networks were trained on (mm and deg)
-GAIN_UNKNOWN_SHARE = 0.2  # of insertions, before anything is known
+UNINFORMATIVE, FINEST = 100.0, 0.01  # mm and deg: a flat likelihood, and the finest that a half-millimetre grid needs
+INCONSISTENT_BELOW = 0.05  # Bayes factor of all evidence so far against knowing nothing
+RANGE = 15.0  # of the networks' training errors (mm and deg)
+GAIN_UNKNOWN_SHARE = 0.2  # of insertions, a priori
 GAIN_SPREAD = 0.8  # standard deviation of log(estimate / error) where the gain is unknown
 GAIN_FROM_X_MM, GAIN_FROM_THETA_DEG = 2.0, 3.0  # errors below these have no meaningful ratio
 _CANDIDATES = 4
@@ -40,13 +40,13 @@ def _sigmoid(value: Floats) -> Floats:
 
 
 def _blurred(distance: Floats, sigma: Floats) -> Floats:
-    """[n, n]: probability of the row's cell where the column's has moved to ``distance`` from it, spread by sigma."""
-    kernel = np.exp(np.maximum(-0.5 * (distance / sigma) ** 2, -80.0))  # no denormals: they cost ten times as much
+    """[n, n]: probability of the row's cell when the column's has moved to ``distance`` from it, with spread sigma."""
+    kernel = np.exp(np.maximum(-0.5 * (distance / sigma) ** 2, -80.0))  # no denormals: ten times slower
     return np.asarray(kernel / kernel.sum(0), np.float64)
 
 
 def _shares() -> Floats:
-    """Of the two hypotheses, before anything is known."""
+    """Prior shares of the two hypotheses."""
     return np.array([1 - GAIN_UNKNOWN_SHARE, GAIN_UNKNOWN_SHARE])
 
 
@@ -57,8 +57,8 @@ def _near(values: Floats, tolerance: float, softness: float) -> Floats:
 def stated(evidence: Evidence, trained: tuple[float, float]) -> tuple[float, float]:
     """Sigma (mm, deg) of an attempt's pictures alone: the networks' own without their prior.
 
-    A network states its belief after seeing the pictures, the spread of the errors it was ``trained`` on included; the
-    evidence of the pictures alone is that belief divided by it. An estimate no sharper carries none.
+    A network states its posterior, which includes the spread of the errors it was ``trained`` on; the pictures'
+    evidence is the posterior divided by that prior. An estimate that is no sharper than the prior carries none.
     """
     given = evidence.sigma or DEFAULT_SIGMA
     alone = (max(s, FINEST) ** -2 - spread**-2 for s, spread in zip(given, trained, strict=True))
@@ -75,9 +75,9 @@ def _sign_membership(values: Floats, threshold: float, softness: float) -> Float
 class BeliefGrid:
     """Probability [89, 89] over the first error, and the sum of the moves made since.
 
-    ``layers`` [2, 3, 89, 89] are the two hypotheses, trusted and gain unknown, each for every outline that the object
-    may have; together they sum to 1. ``expected``: of the networks whose evidence it takes. ``length_mm``: the object's
-    along the gap, see `Outlines`.
+    ``layers`` [2, 3, 89, 89] are the two hypotheses, trusted and gain unknown, each for every possible outline of the
+    object; together they sum to 1. ``expected``: expectations of the networks that give the evidence. ``length_mm``:
+    the object's length along the gap, see `Outlines`.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class BeliefGrid:
 
     @property
     def trust(self) -> float:
-        """Probability that the networks' estimates hold as they claim."""
+        """Probability that the networks' estimates hold with their stated spread."""
         return float(self.layers[0].sum())
 
     @property
@@ -118,13 +118,13 @@ class BeliefGrid:
         return np.asarray(self._cells + self.offset[1], np.float64)
 
     def move(self, dx_mm: float, dtheta_deg: float) -> None:
-        """The pose was moved by a correction; raises Refusal on a move that is not finite."""
+        """Apply a correction's move; raises Refusal on a move that is not finite."""
         if not np.isfinite([dx_mm, dtheta_deg]).all():
             raise Refusal("non_finite", f"the belief was told a move of ({dx_mm} mm, {dtheta_deg} deg)")
         self.offset += (dx_mm, dtheta_deg)
 
     def creep(self) -> None:
-        """An attempt was blocked: the object has turned in the hand, its bottom outwards, before the next move."""
+        """Account for a blocked attempt: the object has turned in the hand, bottom outwards, before the next move."""
         x_mm, expected = self.current_x_mm, self._expected
         near = _sigmoid((expected.near_mm - np.abs(x_mm)) / 0.8)
         near_mm = expected.creep_near_mm + expected.creep_near_mm_per_mm * self._lever_mm
@@ -134,15 +134,15 @@ class BeliefGrid:
         self.layers = (crept @ self.layers) @ self._turned.T
 
     def absorb_failure(self) -> None:
-        """The current pose did not insert, so the error is not near zero."""
+        """Account for a failure at the current pose: the error is not near zero."""
         inserts = self._outlines.chances(self.current_x_mm, self.current_theta_deg)
         self._normalise(self.layers * (1 - SURE_INSERT * inserts))
 
     def absorb(self, evidence: Evidence) -> bool:
-        """Multiply in a failed attempt and its evidence; False if they contradict, and the belief starts from it."""
+        """Multiply in a failed attempt and its evidence; on contradiction restart from it and return False."""
         self.absorb_failure()
         likelihood = np.stack([self.likelihood(evidence), self._gain_unknown_likelihood(evidence)])[:, None]
-        outline = self.layers.sum((0, 2, 3))[:, None, None]  # what failures have shown of it stays
+        outline = self.layers.sum((0, 2, 3))[:, None, None]  # the outline learnt from failures stays
         wide = _shares()[:, None, None, None] * outline * (self._prior + 1e-3 * self._prior.max())
         if float((self.layers * likelihood).sum()) < INCONSISTENT_BELOW * float((wide * likelihood).sum()):
             self._normalise(wide * likelihood)
@@ -151,7 +151,7 @@ class BeliefGrid:
         return True
 
     def likelihood(self, evidence: Evidence) -> Floats:
-        """[89, 89], a density over (mm, deg) of the estimate: how well each first error explains the estimate."""
+        """[89, 89], the estimate's density over (mm, deg): how well each first error explains it."""
         if evidence.density is not None:
             return self._density_likelihood(evidence.density)
         return np.asarray(
@@ -161,7 +161,7 @@ class BeliefGrid:
         )
 
     def _gain_unknown_likelihood(self, evidence: Evidence) -> Floats:
-        """The same where an estimate is the error times an unknown factor, new in each attempt."""
+        """The same if an estimate is the error times an unknown factor, drawn anew in each attempt."""
         parts = []
         for cells, estimate, sigma, start in zip(
             (self.current_x_mm, self.current_theta_deg),
@@ -171,7 +171,7 @@ class BeliefGrid:
             strict=True,
         ):
             unit = np.hypot(estimate, start)
-            spread = np.hypot(GAIN_SPREAD, sigma / unit)  # never surer than the networks themselves
+            spread = np.hypot(GAIN_SPREAD, sigma / unit)  # never more certain than the networks
             off = (np.arcsinh(estimate / start) - np.arcsinh(cells / start)) / spread
             density = np.exp(-0.5 * off**2) / (np.sqrt(2 * np.pi) * spread * unit)
             parts.append((1 - OUTLIER_SHARE) * density + OUTLIER_SHARE / (2 * RANGE))
@@ -213,7 +213,7 @@ class BeliefGrid:
     def best_move(self) -> tuple[tuple[float, float], float]:
         """The move ((mm, deg), probability that the next attempt inserts) with the fewest expected trials.
 
-        The bound: 1 + P(next misses) (1 + P(the one after misses | nothing is learnt from the next but its failure)).
+        The bound: 1 + P(next misses) (1 + P(the one after misses | the next one shows only its failure)).
         """
         by_outline = self.layers.sum(0)
         hits = self._outlines.hits(by_outline)
@@ -222,19 +222,19 @@ class BeliefGrid:
         return (-target[0] - float(self.offset[0]), -target[1] - float(self.offset[1])), float(hits[row, column])
 
     def _fewest_trials(self, by_outline: Floats, hits: Floats) -> tuple[int, int]:
-        """The candidate of the least bound. No second attempt hits likelier than the best first: most need no look."""
+        """The candidate with the least bound. No second attempt beats the best first one, so most are skipped."""
         candidates = _peaks(hits)
         best, least = candidates[0], np.inf
         for row, column in candidates:
             if 3 - SURE_INSERT * (2 * float(hits[row, column]) + float(hits.max())) >= least:
-                break  # the candidates after it are no better
+                break  # no later candidate is better
             cost = self._two_step_cost(by_outline, hits, row, column)
             if cost < least:
                 best, least = (row, column), cost
         return best
 
     def _aimed(self, row: int, column: int) -> Floats:
-        """[3, 89, 89]: how likely each outline enters where this cell is aimed at, for each error."""
+        """[3, 89, 89]: chance of each outline to enter when aimed at this cell, for each error."""
         return self._outlines.chances(self._cells - self._cells[row], self._cells - self._cells[column])
 
     def _two_step_cost(self, by_outline: Floats, hits: Floats, row: int, column: int) -> float:
@@ -250,7 +250,7 @@ class BeliefGrid:
         return float(inside.sum(1) @ self._cells / total), float(inside.sum(0) @ self._cells / total)
 
     def enters(self) -> float:
-        """Probability that an attempt from where the object stands now goes in."""
+        """Probability that an attempt from the object's present pose inserts."""
         chances = self._outlines.chances(self.current_x_mm, self.current_theta_deg)
         return SURE_INSERT * float((self.layers.sum(0) * chances).sum())
 

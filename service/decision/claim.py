@@ -1,7 +1,7 @@
-"""What has to be shown before full depth is claimed to be an insertion.
+"""The evidence required before full depth is claimed to be an insertion.
 
-Absence of a signal is no evidence: each check asks for something that was measured, and what could not be measured is
-a doubt. One doubt is enough for "not confirmed".
+Absence of a signal is no evidence: each check requires a measurement, and a missing measurement is a doubt. One doubt
+is enough for "not confirmed".
 """
 
 import math
@@ -17,23 +17,23 @@ from service.decision.turning import LastingTurn, turned_going_in
 from service.perception.observation import WEIGHED_SHARE, PairObservation
 
 Doubts = tuple[Doubt, ...]
-DEPTH_TOLERANCE_MM = 1.0  # a descent may end this much short of the depth that was asked for
-FASTEST_MM_S = 250.0  # no guarded descent is faster: a depth reached sooner was not reached by one
-WIDTH_CHANGE_MM = 1.0  # an object that is still held keeps the fingers apart; gel gives way by less
-BLIND_S = 0.25  # the longest part of a descent without a pair that shows what the gels carry,
-BLIND_MM = 2.5  # or as long as a slow arm takes for this
-SLID_MM = 0.8  # where the object slid further than this, nothing shows how far it turned
-LATE_S = 0.075  # that pictures may come late: what the arm turns meanwhile slides before anything shows it
-PRESSED_MM = 5.0  # pressed further than this, a gel is known not to bring its object back
+DEPTH_TOLERANCE_MM = 1.0  # a descent may end this much short of the expected depth
+FASTEST_MM_S = 250.0  # no guarded descent is faster: a depth reached sooner was not reached by a descent
+WIDTH_CHANGE_MM = 1.0  # a held object keeps the fingers apart; the gel yields by less
+BLIND_S = 0.25  # the longest part of a descent without a pair that shows the gels' load,
+BLIND_MM = 2.5  # or the travel in which a slow arm may take longer
+SLID_MM = 0.8  # beyond this slide of the object, nothing shows how far it turned
+LATE_S = 0.075  # possible delay of pictures: the object slides as the arm turns it before a picture shows it
+PRESSED_MM = 5.0  # beyond this press, a gel does not reliably bring its object back
 
 
 @dataclass(slots=True)
 class GraspRecord:
-    """What the attempts so far have shown of this grasp.
+    """Evidence about this grasp from the attempts so far.
 
-    ``width_mm`` is the gripper's at the first arming. ``blocked_pitch``: the strongest push that the gels carried in
-    the attempts that were blocked, marker pitches. ``pressed_mm``: the furthest that a blocked attempt went on after
-    its contact. ``turn``: what those attempts have left of a turn.
+    ``width_mm`` is the gripper's at the first arming. ``blocked_pitch``: the strongest push on the gels in the blocked
+    attempts, marker pitches. ``pressed_mm``: the longest press of a blocked attempt after its contact. ``turn``: the
+    turn left by those attempts.
     """
 
     width_mm: float | None = None
@@ -50,7 +50,7 @@ class GraspRecord:
 
 
 def went_mm_s(attempt: Attempt) -> float:
-    """The mean speed of a descent, or of its last leg; infinite where its time is not known."""
+    """Mean speed of a descent, or of its last leg; infinite if its time is unknown."""
     began, stopped = attempt.leg_ns or attempt.descending_ns, attempt.stopped_ns
     if began is None or stopped is None or not began < stopped:
         return math.inf
@@ -58,7 +58,7 @@ def went_mm_s(attempt: Attempt) -> float:
 
 
 def pressed_mm(attempt: Attempt) -> float:
-    """How far the arm went down after the onset of motion, mm, at its mean speed; 0 without an onset."""
+    """Travel of the arm after the onset of motion, mm, at its mean speed; 0 without an onset."""
     began, onset, stopped = attempt.descending_ns, attempt.onset_ns, attempt.stopped_ns
     if began is None or onset is None or stopped is None or not began < onset < stopped:
         return 0.0
@@ -66,10 +66,10 @@ def pressed_mm(attempt: Attempt) -> float:
 
 
 def slid_mm(attempt: Attempt) -> float:
-    """How far a blocked attempt went on after the gels had stopped following the object, mm; NaN where it is not known.
+    """Travel of a blocked attempt after the gels had stopped following the object, mm; NaN if unknown.
 
-    While they stick, the markers move for as long as the arm does. From the time in which they made the middle four
-    fifths of their motion follows when they stopped. A camera's latency lets it seem less.
+    While the gels stick, the markers move for as long as the arm does. The time of the middle four fifths of their
+    motion gives the time at which they stopped. A camera's latency makes the slide appear smaller.
     """
     began, stopped = attempt.descending_ns, attempt.stopped_ns
     if began is None or stopped is None:
@@ -90,15 +90,15 @@ def slid_mm(attempt: Attempt) -> float:
 
 
 def doubts(attempt: Attempt, grasp: GraspRecord) -> Doubts:
-    """What keeps this attempt's full depth from being claimed; empty where everything was shown that has to be."""
+    """Doubts that keep this attempt's full depth from being claimed; empty if all evidence is there."""
     checks = (_order, _depth, _watched, _held, _width, _pushed, _moved_in_hand)
     return tuple(doubt for check in checks for doubt in check(attempt, grasp))
 
 
 def unclaimed(doubts: Doubts, *, afresh: bool) -> Cause | None:
-    """What an insertion at full depth ends for, None if nothing was found against it.
+    """The cause for which an insertion ends at full depth, None without doubts.
 
-    ``afresh``: the client can regrasp an object upright, which mends a turn and nothing else.
+    ``afresh``: the client can regrasp an object upright, which corrects a turn and nothing else.
     """
     if not doubts:
         return None
@@ -129,7 +129,7 @@ def _depth(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
 
 
 def _watched(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
-    """The gels were read all the way down: no gap between readable pairs, none before the first or after the last."""
+    """The gels were read throughout: no gap between readable pairs, before the first or after the last."""
     if attempt.descending_ns is None or attempt.stopped_ns is None:
         return
     read = [push.captured_ns for push in attempt.pushes if math.isfinite(push.weaker_pitch)]
@@ -155,7 +155,7 @@ def _held(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
 
 
 def _least_bulge(before: float, reference: PairObservation) -> float:
-    """What a finger must still show; nothing where the other one alone showed the object touch it."""
+    """The least bulge that a finger must still show; none if only the other one showed the object's touch."""
     if before >= 1.0:
         return 1.0
     return WEIGHED_SHARE * before if reference.looks_open else 0.0
@@ -164,7 +164,7 @@ def _least_bulge(before: float, reference: PairObservation) -> float:
 def _width(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
     before, now = grasp.width_mm, attempt.gripper_width_mm
     if before is None:
-        return  # a gripper that never told a width cannot tell that it changed; the gels have to
+        return  # without a width at arming, a change is unknown; the gels have to show it
     if now is None or not abs(now - before) <= WIDTH_CHANGE_MM:
         text = "nothing" if now is None else f"{now:.1f} mm"
         change = None if now is None else abs(now - before)
@@ -187,7 +187,7 @@ def _moved_in_hand(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
 
 
 def newest_age_s(pushes: Sequence[Push], now_ns: int) -> float:
-    """Age of the newest pair that shows what the gels carry, s; infinite without one."""
+    """Age of the newest pair that shows the gels' load, s; infinite without one."""
     if not pushes or not math.isfinite(pushes[-1].weaker_pitch):
         return math.inf
     return float(now_ns - pushes[-1].captured_ns) / 1e9

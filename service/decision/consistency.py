@@ -1,11 +1,12 @@
-"""Whether the estimates of an insertion follow from the moves that were commanded between them.
+"""Whether the estimates of an insertion follow from the moves commanded between them.
 
-A cell that is wired wrong on its first day answers a good correction with a larger error, or with one out of the range
-that the networks know. So the error is followed through the attempts by a Bayes filter: once with the moves as
-commanded, and once with x, yaw or both reversed. Which of them expected the estimates? A picture that is mirrored shows
-itself sooner: both fingers see the object turn from opposite sides, a mirrored one from the same side.
+A miswired cell on its first day answers a good correction with a larger error, or with one outside the networks' range.
+A Bayes filter therefore follows the error through the attempts: once with the moves as commanded, and once with x, yaw
+or both reversed. The wiring that predicted the estimates best is the likeliest. A mirrored picture is detected sooner:
+both fingers see the object turn from opposite sides, but a mirrored one sees it from the same side.
 
-What counts is how the networks read an error, see `reading`. In drawn cells they tell the side, and hardly how far.
+What matters is how the networks read an error, see `reading`. In drawn cells they determine the side, and hardly the
+size.
 """
 
 import math
@@ -23,25 +24,25 @@ Pair = NDArray[np.float64]  # x mm, theta deg
 Floats = NDArray[np.float64]
 Signs = tuple[int, int]
 
-ODDS = math.log(20.0)  # that a reversed cell must have against a good one
-NAMED = math.log(5.0)  # causes that explain it this much worse than the best one are named, too
+ODDS = math.log(20.0)  # odds required of a reversed cell against a good one
+NAMED = math.log(5.0)  # causes up to this much worse than the best one are named, too
 CELLS = np.arange(-18.0, 18.5)  # errors of the first attempt, mm and deg
-USUAL, WIDE_SHARE = 15.0, 0.05  # larger ones are rarer: a wide object may start 18 mm off, none turned by more
-SIDE = np.array([1.0, 3.0])  # an error twice as large is read as being on its side
-MIDDLE = 7.5  # of the errors on one side that were trained on
-SPREAD = 8.7  # one sigma of all of them
-NOISE_SHARE, NOISE = 0.75, np.array([1.0, 1.5])  # of an estimate: of the sigma that it comes with, and besides
-WALK = np.array([1.5, 2.0])  # one sigma that a correction adds
-UNKNOWN = np.array([50.0, 50.0])  # one sigma of an estimate that has none
+USUAL, WIDE_SHARE = 15.0, 0.05  # larger ones are rarer: a wide object may start 18 mm off, none with a larger yaw
+SIDE = np.array([1.0, 3.0])  # at twice this error the estimate is on its side
+MIDDLE = 7.5  # mean training error on one side
+SPREAD = 8.7  # one sigma of all training errors
+NOISE_SHARE, NOISE = 0.75, np.array([1.0, 1.5])  # noise of an estimate: share of its stated sigma, and a constant
+WALK = np.array([1.5, 2.0])  # one sigma added by a correction
+UNKNOWN = np.array([50.0, 50.0])  # one sigma of an estimate without one
 OUTLIERS, RANGE = 0.02, 40.0
-FAR = np.array([15.0, 14.0])  # beyond, the networks often answer with hardly any error at all
+FAR = np.array([15.0, 14.0])  # beyond, the networks often answer with almost no error
 FAR_OUTLIERS, FAR_SIGMA = 0.3, 4.0
 SURE = np.array([2.2, 5.0])  # one sigma. Networks that were so sure once seldom are in doubt in that cell, but for far
 SURE_SHARE, FAR_SURE_SHARE = 0.85, 0.35
-CHECKED_N = 8  # attempts: what contradicts itself later is a search in which the networks err
+CHECKED_N = 8  # least larger turn, and the smaller one's least share of it, for a turn that both saw
 TURN_DEG, LIKE = 0.2, 0.5  # of the larger turn, and the smaller one as its share: both fingers saw the object turn
 CLEAR_TURN_DEG, CLEARLY_LIKE = 1.0, 0.7
-ONE_SIDED = 2  # turns seen from the same side; a clear one counts twice
+ONE_SIDED = 2  # turns seen from the same side that refuse a cell; a clear one counts twice
 _STARTS = np.outer(np.where(np.abs(CELLS) <= USUAL, 1.0, WIDE_SHARE), np.abs(CELLS) <= USUAL)
 _STARTS /= _STARTS.sum()
 _BLUR = np.exp(-0.5 * np.square((CELLS[:, None] - CELLS) / WALK[:, None, None]))
@@ -49,10 +50,10 @@ _BLUR /= _BLUR.sum(axis=1, keepdims=True)
 
 
 def reading(error: Floats, sigma: float, side: float) -> Floats:
-    """What networks estimate of errors [n] on the mean, mm or deg, where they come with this sigma.
+    """Mean estimate of the networks for errors [n], mm or deg, when it comes with this sigma.
 
-    Networks that see no more than the side answer with the middle of it and a sigma of half the spread; those that see
-    nothing answer with 0. ``side``: of `SIDE`.
+    Networks that see only the side answer with its middle and a sigma of half the spread; networks that see nothing
+    answer with 0. ``side``: of `SIDE`.
     """
     only_side = min(1.0, 2.0 * sigma / SPREAD)
     known = max(0.0, 1.0 - (sigma / SPREAD) ** 2) / 0.75 if sigma > 0.5 * SPREAD else 1.0
@@ -60,7 +61,7 @@ def reading(error: Floats, sigma: float, side: float) -> Floats:
 
 
 class Followed:
-    """The error of the first attempt as one way of wiring has it: ``weights`` [n, n] over x and yaw, and its evidence.
+    """The error of the first attempt under one wiring: ``weights`` [n, n] over x and yaw, and its evidence.
 
     ``log_evidence``: the logarithm of the probability of all estimates so far.
     """
@@ -72,7 +73,7 @@ class Followed:
         self.log_evidence = 0.0
 
     def learn(self, estimate: Pair, sigma: Pair, *, sure: bool, sure_once: bool) -> None:
-        """Take in an estimate, and whether networks that were ``sure_once`` are still sure."""
+        """Add an estimate, and whether networks that were ``sure_once`` are still sure."""
         here = [CELLS + moved for moved in self.moved]
         far = np.logical_or.outer(np.abs(here[0]) > FAR[0], np.abs(here[1]) > FAR[1])
         near = [_near(*axis) for axis in zip(here, estimate, sigma, SIDE, NOISE, strict=True)]
@@ -90,7 +91,7 @@ class Followed:
 
 
 def _density(off: Floats, sigma: float) -> Floats:
-    """Of a normal deviate."""
+    """Density of a normal deviate."""
     return np.asarray(np.exp(-0.5 * np.square(off / sigma)) / (math.sqrt(2.0 * math.pi) * sigma))
 
 
@@ -101,14 +102,14 @@ def _near(error: Floats, estimate: float, sigma: float, side: float, noise: floa
 
 
 def _far(estimate: float, sigma: float) -> float:
-    """The same beyond that range."""
+    """Density of an estimate for an error beyond that range."""
     stray = _density(np.array(estimate), math.hypot(FAR_SIGMA, sigma))
     return float((1.0 - FAR_OUTLIERS) * stray + FAR_OUTLIERS / RANGE)
 
 
 @dataclass(slots=True)
 class Consistency:
-    """What each way that a cell may be wired made of the attempts so far."""
+    """Likelihoods of all possible wirings of a cell from the attempts so far."""
 
     _followed: dict[Signs, Followed] = field(
         default_factory=lambda: {signs: Followed(signs) for signs in [(1, 1), *WIRINGS]}
@@ -118,7 +119,7 @@ class Consistency:
     _one_sided: int = 0
 
     def add(self, correction: Correction, both: PairObservation) -> None:
-        """Take in an attempt's correction and last pair. Raises Refusal that names the likely causes."""
+        """Add an attempt's correction and last pair. Raises Refusal that names the likely causes."""
         self._one_sided = max(0, self._one_sided + one_sided(both))
         if self._one_sided >= ONE_SIDED:
             raise Refusal("contradictory", "both fingers see the object turn the same way: one picture is mirrored")
@@ -137,7 +138,7 @@ class Consistency:
             raise Refusal("contradictory", f"the estimates contradict the moves: {'; or '.join(causes)}")
 
     def causes(self) -> list[str]:
-        """The causes that explain the attempts, best first; none while a good cell explains them well enough."""
+        """The causes that explain the attempts, best first; empty while a good cell explains them well enough."""
         log = {signs: followed.log_evidence for signs, followed in self._followed.items()}
         best = max(log.values())
         if not best - log[1, 1] > ODDS:
@@ -147,15 +148,15 @@ class Consistency:
 
 
 def turns_deg(both: PairObservation) -> tuple[float, float]:
-    """How far either finger saw the object turn, clockwise in its picture; not finite where it saw none."""
+    """Turn of the object as seen by each finger, clockwise in its picture; not finite where it saw none."""
     left, right = (math.degrees(finger.slip.angle_rad) for finger in both.fingers)
     return left, right
 
 
 def one_sided(both: PairObservation) -> int:
-    """Both fingers saw a turn from the same side: 1, clearly so: 2; from opposite ones, as they must: -1; else 0.
+    """Both fingers saw a turn from the same side: 1, clearly so: 2; from opposite sides, as they must: -1; else 0.
 
-    A turn that one finger alone sees says nothing: the other may have been let go, or be blind.
+    A turn that only one finger sees means nothing: the other may have lost contact, or sight.
     """
     left, right = turns_deg(both)
     smaller, larger = sorted((abs(left), abs(right)))

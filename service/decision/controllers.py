@@ -18,7 +18,7 @@ CLIP_LATER = 4.0  # Eq. 1: |C| after the first trial (mm or deg)
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """The move to make next, (mm, deg) added to the object's pose, why, and the belief it rests on (for display)."""
+    """The next move, (mm, deg) added to the object's pose, its reason, and the belief behind it (for display)."""
 
     dx_mm: float
     dtheta_deg: float
@@ -45,11 +45,11 @@ class Controller(Protocol):
         """The move after ``attempt`` (1-based) was blocked; raise Refusal on a non-finite estimate."""
 
     def blocked_without_evidence(self) -> None:
-        """An attempt was blocked but its frames decided nothing; the pose is still known to have failed."""
+        """Account for a blocked attempt without a decision; its pose is still known to have failed."""
 
 
 def axis_command(sign: int, estimate: float, *, first: bool) -> float:
-    """Eq. 1 for one axis: ``sign`` is +1 for a positive error, so that an agreeing estimate is moved against.
+    """Eq. 1 for one axis: ``sign`` is +1 for a positive error, and an agreeing estimate is moved against.
 
     An estimate of exactly 0 with a sign counts as contradictory. Raises Refusal if the estimate is not finite.
     """
@@ -65,7 +65,7 @@ def axis_command(sign: int, estimate: float, *, first: bool) -> float:
 
 
 def within(command: Command, limits: Limits) -> Command:
-    """The same command, shortened to the service's limits; it was checked to be finite before."""
+    """The same command, shortened to the service's limits; it is already known to be finite."""
     dx = float(np.clip(command.dx_mm, -limits.max_dx_mm, limits.max_dx_mm))
     dtheta = float(np.clip(command.dtheta_deg, -limits.max_dtheta_deg, limits.max_dtheta_deg))
     if not np.isfinite([dx, dtheta]).all():
@@ -94,9 +94,9 @@ class Heuristic:
 
 @dataclass(slots=True)
 class Belief:
-    """A Bayes filter over the error the insertion started with; moves are known, creep in the hand is expected.
+    """A Bayes filter over the initial error of the insertion; moves are known, creep in the hand is expected.
 
-    Where an attempt's evidence contradicts all the others, the belief starts anew from it and the heuristic moves.
+    When an attempt's evidence contradicts all the others, the belief restarts from it and the heuristic moves.
     """
 
     limits: Limits
@@ -104,7 +104,7 @@ class Belief:
     grid: BeliefGrid = field(default_factory=BeliefGrid)
 
     def decide(self, evidence: Evidence, attempt: int) -> Command:
-        """Multiply the evidence in, then aim where the next attempt and the one after are likeliest to insert."""
+        """Multiply the evidence in, then aim for the best chances of the next attempt and the one after."""
         consistent = self.grid.absorb(evidence)
         self.grid.creep()
         if not consistent:
@@ -142,9 +142,9 @@ def make_controller(
     expected: Expectations = USUAL,
     length_mm: float | None = None,
 ) -> Controller:
-    """A fresh controller for one insertion; the belief expects what the networks' card says of attempts with them.
+    """A new controller for one insertion; the belief's expectations of attempts come from the networks' card.
 
-    ``length_mm``: how far the held object reaches along the gap, None if the gripper does not tell.
+    ``length_mm``: length of the held object along the gap, None if the gripper does not report it.
     """
     return (
         Belief(limits, grid=BeliefGrid(grasp_height_mm, expected, length_mm)) if name == "belief" else Heuristic(limits)

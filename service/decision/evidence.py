@@ -37,7 +37,7 @@ class Density:
 class Evidence:
     """The result of one attempt: class probabilities, estimated error (mm, deg) and sigma (mm, deg; None if not given).
 
-    Raises Refusal where any of these is not finite: no evidence is made of such numbers.
+    Raises Refusal where any of these is not finite: such numbers are no evidence.
     """
 
     classes: tuple[ErrorClass, ...]
@@ -49,7 +49,7 @@ class Evidence:
     threshold_theta_deg: float = 5.0
 
     def __post_init__(self) -> None:
-        """Refuse what is not finite, before any controller sees it."""
+        """Refuse non-finite values, before any controller sees them."""
         numbers = [*np.ravel(self.probabilities), *self.error, *(self.sigma or ())]
         density = () if self.density is None else self.density.log_density
         if not (np.isfinite(numbers).all() and np.isfinite(density).all()):
@@ -68,7 +68,7 @@ class Evidence:
         return {entry.name: float(p) for entry, p in zip(self.classes, self.probabilities, strict=True)}
 
     def estimate(self) -> Estimate:
-        """The error before the correction with one sigma and the 90 % interval, as the wire carries it."""
+        """The error before the correction with one sigma and the 90 % interval, in its wire form."""
         dx_mm, dtheta_deg = self.error
         if self.sigma is None:
             return Estimate(dx_mm=dx_mm, dtheta_deg=dtheta_deg)
@@ -84,10 +84,10 @@ class Evidence:
 
 
 class DecisionRun:
-    """The networks over one attempt: fed pair by pair as they arrive, so that one step remains after the last frame.
+    """The networks over one attempt, fed pair by pair on arrival, so that one step remains after the last frame.
 
     ``reference`` and every frame are [2, *card.input_shape], left finger first: pictures, marker fields or steps of
-    depth, for which ``conditions`` go. Not thread safe: one thread feeds a run.
+    depth; ``conditions`` belong to the latter. Not thread safe: one thread feeds a run.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class DecisionRun:
             raise Refusal("too_few_frames", f"{self.frames_n} {what} since motion began, expected {needed}")
 
     def evidence(self) -> Evidence:
-        """The evidence after the last frame; raise Refusal if too few came or any output is not finite."""
+        """The evidence after the last frame; raise Refusal on too few frames or a non-finite output."""
         self._check_count()
         by_role = {step.card.role: out for step, out in zip(self._models.steps, self._outputs, strict=True)}
         for role, outputs in by_role.items():

@@ -1,4 +1,4 @@
-"""The networks the service decides with: ONNX files whose cards are valid and agree, each warmed up before use."""
+"""The service's deciding networks: ONNX files whose cards are valid and agree, each warmed up before use."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ _WARM_UP_STEPS = 3
 
 
 class ModelError(ContractError):
-    """A model cannot serve; the text names the file and what to do."""
+    """A model cannot serve; the text names the file and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class LoadedModel:
     outputs: tuple[Any, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Ask the session once what it takes and gives: each asking makes the descriptions anew."""
+        """Read the session's inputs and outputs once: each query builds the descriptions anew."""
         object.__setattr__(self, "inputs", tuple(self.session.get_inputs()))
         object.__setattr__(self, "outputs", tuple(self.session.get_outputs()))
 
@@ -87,7 +87,7 @@ class LoadedModel:
         return outputs, outputs.pop("next_state")
 
     def warm_up(self) -> None:
-        """Run a few steps on nothing, so that the first real decision is as fast as the later ones."""
+        """Run a few steps on zeros, so that the first real decision is as fast as the later ones."""
         still = np.zeros((2, *self.card.input_shape), self.card.input_dtype)
         state = self.fresh_state()
         for _ in range(_WARM_UP_STEPS):
@@ -96,7 +96,7 @@ class LoadedModel:
 
 @dataclass(frozen=True, slots=True)
 class ModelSet:
-    """What decides (direction and magnitude network, both in one graph, or a joint density), and every file found."""
+    """The deciding networks (direction and magnitude, both in one graph, or a joint density), and every file found."""
 
     steps: tuple[LoadedModel, ...]
     models: tuple[LoadedModel, ...]
@@ -119,7 +119,7 @@ class ModelSet:
 
 
 def load_model(path: Path) -> LoadedModel:
-    """Open one ONNX file; raise ModelError if it is unreadable, card-less, or not what its card says."""
+    """Open one ONNX file; raise ModelError if it is unreadable, lacks a card, or contradicts its card."""
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
@@ -166,9 +166,9 @@ def _check_graph(model: LoadedModel) -> None:
 
 
 def load_models(folder: Path) -> ModelSet:
-    """Load, check and warm all ``*.onnx`` of a folder.
+    """Load, check and warm up all ``*.onnx`` of a folder.
 
-    Raises ModelError (one line, says what to do) when the folder or a needed network is missing, a card is absent or
+    Raises ModelError (one line with the remedy) when the folder or a needed network is missing, a card is absent or
     invalid, a role is served twice, or two cards disagree.
     """
     folder = Path(folder)

@@ -1,7 +1,7 @@
-"""What a network sees of frames: the rectified pictures, marker fields that perception tracked, or steps of depth.
+"""A network's input from frames: rectified pictures, tracked marker fields, or steps of depth.
 
-Steps of depth (`service.perception.pressing`) are fed as they are complete. The decision is complete after the card's
-last step, or with the steps there are once the arm was ordered to stop: what follows is at no known depth.
+Steps of depth (`service.perception.pressing`) are fed as they are completed. The decision is complete after the card's
+last step, or with the available steps once the arm was ordered to stop: the depth of later frames is unknown.
 """
 
 from dataclasses import dataclass, field
@@ -18,13 +18,13 @@ from service.perception.observation import PairObservation
 from service.perception.pressing import DepthSteps, lattice_weights, on_lattice
 
 Floats = NDArray[np.float32]
-FELT, FELT_BY_N = 0.1, 10  # a press moves so many lattice points by this share of itself; an object that sags, fewer
+FELT, FELT_BY_N = 0.1, 10  # a press moves so many lattice points by this share of itself; a sag moves fewer
 UNTIL_SLIP_N = 20  # steps of a press until slip, at most
-REACHES, FEWEST_N = 2.0, 4  # an attempt presses by no more shear reaches where they are known, but by these steps
+REACHES, FEWEST_N = 2.0, 4  # presses of an attempt: at most so many shear reaches, if known, but at least so many steps
 
 
 def network_pair(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
-    """A pair as the card's graph reads it, left finger first; raise Refusal if the grid found is not the card's."""
+    """A pair as input of the card's graph, left finger first; raise Refusal if its grid is not the card's."""
     if card.markers is None:
         return pair.pixels()
     try:
@@ -58,9 +58,9 @@ class PressedFinger:
 
 @dataclass(slots=True)
 class Descent:
-    """The steps of depth of one attempt. ``speed_mm_s`` None: the client did not tell, and no depth is known.
+    """The steps of depth of one attempt. ``speed_mm_s`` None: not stated by the client, so no depth is known.
 
-    ``press_mm``: how far it presses. ``until_slip``: it presses on after the last step that the networks read.
+    ``press_mm``: length of the press. ``until_slip``: press on after the last step that the networks read.
     """
 
     card: ModelCard
@@ -80,12 +80,12 @@ class Descent:
 
     @property
     def enough(self) -> bool:
-        """Whether the object was pressed as deep as is worth it."""
+        """Whether the object was pressed deep enough for the decision."""
         return self._steps is not None and self._steps.steps_n >= self.worth_n
 
     @property
     def felt(self) -> bool:
-        """Whether what the steps show can be a press on something; a sagging object moves the markers far less."""
+        """Whether the steps show a press on something; a sagging object moves the markers far less."""
         steps = self._steps
         if steps is None or self._last is None:
             return False
@@ -94,7 +94,7 @@ class Descent:
 
     @property
     def worth_n(self) -> int:
-        """As many steps as is pressed by, fewer where the gel slides before: what turns then stays turned."""
+        """Number of steps to press, fewer where the gel slides earlier: a turn made while sliding is permanent."""
         spec, reach_mm = self.card.pressing, self.conditions.get("shear_reach_mm")
         assert spec is not None
         if self.until_slip:
@@ -104,11 +104,11 @@ class Descent:
 
     @property
     def pressed_mm(self) -> float:
-        """How far the object has been pressed since the onset."""
+        """Length of the press since the onset, mm."""
         return 0.0 if self._steps is None else self._steps.pressed_mm
 
     def begin(self, pairs: list[PairObservation], first: int) -> list[Floats]:
-        """Take the pairs up to now, ``first`` being the first to show motion; the steps that are complete."""
+        """Take the pairs so far, ``first`` being the first to show motion; returns the completed steps."""
         try:
             self._check(pairs)
             speed_mm_s, spec = self.conditions["speed_mm_s"], self.card.pressing
@@ -142,7 +142,7 @@ class Descent:
         return np.stack([finger.read(one.field) for finger, one in zip(self._fingers, pair.fingers, strict=True)])
 
     def _check(self, pairs: list[PairObservation]) -> None:
-        """Learn what the frames themselves tell, and raise Refusal outside what the networks were trained on."""
+        """Estimate conditions from the frames, and raise Refusal outside the networks' training range."""
         if not self.conditions.get("speed_mm_s"):
             detail = "these networks read depth: expected `descending` with speed_mm_s"
             raise Refusal("out_of_distribution", detail)

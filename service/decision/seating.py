@@ -1,12 +1,13 @@
-"""Whether the object went along to full depth: the push that the gels still carry shows what depth alone cannot.
+"""Whether the object reached full depth with the fingers: the push left on the gels shows what depth alone cannot.
 
-An object that stands on a block while the fingers go down slides up between them. If its whole patch lets go at once,
-no marker leaves the rigid motion, and below the push that separates a stalled patch from a slow one (see
-`SlipSettings.stall_pitch`) there is no slip message. By Coulomb's law a grasp that slides carries all that its friction
-bears, on both pads and for as long as it slides. An object in its gap hangs free, or is carried by the gap's walls.
-One that jams there, tilted, leans on one pad and turns about the other. So the weaker finger's push is compared with
-the strongest push of this grasp in the attempts that were blocked. Where none was, nothing but the noise of the
-markers may be left: how much a grasp can bear differs by ten between cells.
+An object that stands on a block while the fingers descend slides up between them. If its whole patch slides at once, no
+marker leaves the rigid motion, and below the push that separates a stalled patch from a slow one (see
+`SlipSettings.stall_pitch`) there is no slip message. By Coulomb's law a sliding grasp carries the full friction force,
+on both pads, as long as it slides. An object in its gap hangs free, or is carried by the gap's walls. An object jammed
+there, tilted, leans on one pad and turns about the other.
+
+The weaker finger's push is therefore compared with the strongest push of this grasp in the blocked attempts. Without a
+blocked attempt, only the noise of the markers may remain: the force that a grasp can bear differs by ten between cells.
 """
 
 import math
@@ -18,17 +19,17 @@ import numpy as np
 
 from service.perception.observation import PairObservation
 
-HELD_SHARE = 0.03  # of what the grasp bears: most jams carried 0.04 and more, sliding 0.74, hanging free 0.0001
-NOISE_PITCH = 0.008  # no smaller push counts: what a finger's markers, all of them together, may be off
+HELD_SHARE = 0.03  # share of the grasp's capacity: most jams carried 0.04 and more, sliding 0.74, hanging free 0.0001
+NOISE_PITCH = 0.008  # no smaller push counts: the common error of all of a finger's markers
 LASTING = 1 / 3  # of the descent's time: from the blocks' tops on it slides for 0.7; a floor pushes for the last 0.2
-GLITCHES = 0.1  # of the frames in that time, which may show less
-VALID_SHARE = 0.5  # of a finger's markers
+GLITCHES = 0.1  # share of the frames in that time that may show less
+VALID_SHARE = 0.5  # share of a finger's markers
 
 
 class Push(NamedTuple):
-    """How far the object has pushed the gels up since the reference, in marker pitches; NaN where it is not known.
+    """Push of the object on the gels, upwards since the reference, in marker pitches; NaN if unknown.
 
-    ``moved_pitch``: how far the markers moved in any direction, root mean square.
+    ``moved_pitch``: motion of the markers in any direction, root mean square.
     """
 
     captured_ns: int
@@ -39,9 +40,9 @@ class Push(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SeatingEvidence:
-    """The push on the weaker finger at full depth, and the push from which on the object has slid, in marker pitches.
+    """The push on the weaker finger at full depth, and the push that implies a slide, in marker pitches.
 
-    ``blocked_pitch`` is the strongest push of the attempts that were blocked, 0 where there was none.
+    ``blocked_pitch`` is the strongest push of the blocked attempts, 0 without one.
     """
 
     push_pitch: float
@@ -54,7 +55,7 @@ class SeatingEvidence:
 
     @property
     def seated(self) -> bool:
-        """Whether the object counts as inserted; a number that is not finite never does."""
+        """Whether the object counts as inserted; never for a non-finite number."""
         return math.isfinite(self.push_pitch) and self.push_pitch < self.bound_pitch
 
     def __str__(self) -> str:
@@ -68,9 +69,9 @@ class SeatingEvidence:
 
 
 def push_of(both: PairObservation, reference: PairObservation) -> Push:
-    """The push that a pair shows. Up is -v for both fingers; rotations of the object in the plane of the gels cancel.
+    """The push in a pair. Up is -v for both fingers; rotations of the object in the plane of the gels cancel.
 
-    NaN if a finger gives no new evidence, another grid, too few markers, or numbers that are not finite.
+    NaN if a finger gives no new evidence, another grid, too few markers, or non-finite numbers.
     """
     means, squares = [], []
     for now, then in zip(both.fingers, reference.fingers, strict=True):
@@ -93,7 +94,7 @@ def strongest_push(pushes: Sequence[Push]) -> float:
 def seating_evidence(pushes: Sequence[Push], begin_ns: int, blocked_pitch: float) -> SeatingEvidence:
     """The evidence at full depth; ``pushes`` are those of the descent that began at ``begin_ns``, oldest first.
 
-    Only the lasting push counts, that of the last part of the descent. NaN if there is none, or not in the newest pair.
+    Only the lasting push of the last part of the descent counts. NaN if there is none, or not in the newest pair.
     """
     if not pushes or not math.isfinite(pushes[-1].weaker_pitch):
         return SeatingEvidence(math.nan, blocked_pitch)

@@ -1,9 +1,9 @@
-"""How far an object hangs turned in the hand, and how far a blocked attempt has left it so.
+"""Turn of a hanging object in the hand, and the part of it that a blocked attempt leaves behind.
 
-While an attempt presses, the markers in the middle of the contact turn with the object; nearer to the rim they have let
-go. When the arm goes up, the gels stick and turn the object back by as much as they carry. What it turned beyond that
-has slid: it stays, and nothing shows it any more. What its own weight turns shows against the open gels, as long as it
-hangs.
+While an attempt presses, the markers in the middle of the contact turn with the object; those near the rim have lost
+it. When the arm goes up, the gels stick and turn the object back by as much as they carry. The rest of the turn was a
+slide: it stays, and no marker shows it any more. A turn by the object's own weight shows against the open gels as long
+as it hangs.
 """
 
 import math
@@ -14,21 +14,20 @@ from numpy.typing import NDArray
 
 from service.perception.observation import Observation, PairObservation
 
-TURNED_DEG = 0.6  # an object counts as upright up to 2 deg, and the expectation errs by 0.15 deg an attempt
-HANGS_DEG = 0.5  # shown by the markers; more has slid. Upright ones in drawn cells show 0.15 deg at most
-CARRIED = 0.25  # of the largest motion: markers that move by more are carried by the object
-GIVEN_BACK = 1.08  # times what the markers show, the gels turn the object back;
-BEYOND_SHOWN = 1.3  # times the rest stays: markers follow an object less than all the way
-GOING_IN_DEG = 0.5  # at full depth, since the descent began. Objects that stand free show 0.15 deg at most
-STANDS_DEG = 0.7  # at full depth, with what earlier attempts have left
+TURNED_DEG = 0.6  # an object counts as upright up to 2 deg, and the expectation errs by 0.15 deg per attempt
+HANGS_DEG = 0.5  # shown by the markers; the true turn is larger. Upright objects in drawn cells show 0.15 deg at most
+CARRIED = 0.25  # share of the largest motion: markers that move by more are carried by the object
+GIVEN_BACK = 1.08  # the gels turn the object back by this times the markers' motion;
+BEYOND_SHOWN = 1.3  # this times the rest stays: markers follow an object only partly
+GOING_IN_DEG = 0.5  # at full depth, since the descent began. Free-standing objects show 0.15 deg at most
+STANDS_DEG = 0.7  # at full depth, including the turn left by earlier attempts
 FEWEST_N = 4  # markers that determine a turn
 
 
 def hangs_turned(both: PairObservation, left_deg: float = 0.0) -> str:
-    """Why an object does not hang upright in the hand, or nothing.
+    """Why an object does not hang upright in the hand, or "".
 
-    The gels show that its weight has turned it, or do so together with ``left_deg``, what earlier attempts have left of
-    a turn.
+    The gels show that its weight has turned it, alone or together with ``left_deg``, the turn left by earlier attempts.
     """
     turn_deg = _both_deg(*(_shown_rad(finger) for finger in both.fingers))
     if not abs(turn_deg) <= HANGS_DEG:
@@ -41,10 +40,10 @@ def hangs_turned(both: PairObservation, left_deg: float = 0.0) -> str:
 
 
 def turned_going_in(both: PairObservation, hung: PairObservation | None, left_deg: float = 0.0) -> str:
-    """Why an object does not hang at full depth as it ``hung`` above, or nothing: something in the gap holds it askew.
+    """Why an object does not hang at full depth as it ``hung`` above, or "": something in the gap holds it askew.
 
-    A whole contact that slides all the way down moves too little at a time to be a motion; against the open gels it
-    shows. ``left_deg``: what earlier attempts have left of a turn.
+    If the whole contact slides all the way down, its motion per frame is too small to be detected; against the open
+    gels it shows. ``left_deg``: the turn left by earlier attempts.
     """
     turns_rad = [finger.slip.angle_rad for finger in both.fingers]
     slid_deg = _both_deg(*(_shown_rad(finger) for finger in both.fingers))
@@ -61,25 +60,25 @@ def turned_going_in(both: PairObservation, hung: PairObservation | None, left_de
 
 @dataclass(slots=True)
 class LastingTurn:
-    """What the blocked attempts with one grasp have left of a turn.
+    """The turn left by the blocked attempts with one grasp.
 
-    ``deg``: the expected sum, signed as the left finger shows it, known as soon as the object hangs free again; NaN
-    where the gels do not show it.
+    ``deg``: the expected sum, signed as in the left finger's picture, known once the object hangs free again; NaN where
+    the gels do not show it.
     """
 
     deg: float = 0.0
     _pressed: PairObservation | None = None
 
     def pressed(self, both: PairObservation | None) -> None:
-        """An attempt was blocked, ``both`` its last pair; None if that does not show how far the object turned."""
+        """An attempt was blocked, ``both`` its last pair; None if it does not show the object's turn."""
         self._pressed = both
         if both is None:
             self.deg = math.nan
 
     def lifted(self, both: PairObservation) -> str:
-        """Take in how the object hangs, free again; why it has to be regrasped before the next attempt, or nothing.
+        """Account for the object hanging free again; returns why it needs a regrasp before the next attempt, or "".
 
-        Of the pairs after a blocked attempt the first counts.
+        Only the first pair after a blocked attempt counts.
         """
         if self._pressed is not None:
             self.deg += lasting_turn_deg(self._pressed, both)
@@ -95,11 +94,11 @@ class LastingTurn:
 
 
 def lasting_turn_deg(pressed: PairObservation, lifted: PairObservation) -> float:
-    """What stays in the hand of the turn that a blocked attempt made, deg, signed as the left finger shows it.
+    """Turn left in the hand by a blocked attempt, deg, signed as in the left finger's picture.
 
-    ``pressed``: the last pair of the attempt, ``lifted``: one of the object hanging free after it. Both fingers
-    see the same turn from opposite sides; one that has let go shows less of it, so the larger counts. NaN where one
-    does not show it, for want of markers that went with the object: held by an edge, or seen by a slow camera. The two
+    ``pressed``: the last pair of the attempt, ``lifted``: one of the object hanging free after it. Both fingers see the
+    same turn from opposite sides; one that has lost contact shows less of it, so the larger counts. NaN where one does
+    not show it for lack of markers that moved with the object: held by an edge, or seen by a slow camera. The two
     factors are fitted, see docs/decisions/0112.
     """
     left, right = pressed.fingers
@@ -111,7 +110,7 @@ def lasting_turn_deg(pressed: PairObservation, lifted: PairObservation) -> float
 
 
 def _back_rad(pressed: Observation, lifted: Observation) -> float:
-    """How far the markers in a finger's contact turned back when the object was lifted; NaN where too few are seen."""
+    """Turn of the markers in a finger's contact on lifting the object; NaN where too few are visible."""
     slip, before, after = pressed.slip, pressed.field, lifted.field
     if before.valid.shape != after.valid.shape:
         return math.nan
@@ -122,7 +121,7 @@ def _back_rad(pressed: Observation, lifted: Observation) -> float:
 
 
 def _shown_rad(observation: Observation) -> float:
-    """The mean turn of the markers that are away from where they lie in the open gel."""
+    """Mean turn of the markers that are displaced from their places in the open gel."""
     field = observation.field
     away = np.where(field.valid, np.hypot(*np.moveaxis(field.displacement_px, -1, 0)), 0.0)
     carried = away > CARRIED * float(away.max(initial=0.0))
@@ -132,7 +131,7 @@ def _shown_rad(observation: Observation) -> float:
 
 
 def _both_deg(left_rad: float, right_rad: float) -> float:
-    """What both fingers show together, deg, signed as the left one shows it: they look from opposite sides."""
+    """Turn from both fingers, deg, signed as in the left one's picture: they look from opposite sides."""
     return math.degrees(0.5 * (left_rad - right_rad))
 
 

@@ -16,7 +16,7 @@ from service.decision.network_input import Descent, network_pair
 from service.perception.observation import Observation, PairObservation
 from service.settings import Deadlines
 
-MIN_VALID_MARKERS = 0.5  # of a finger's markers, in the last frame decided on
+MIN_VALID_MARKERS = 0.5  # share of a finger's markers, in the last frame of the decision
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work
 def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
     """The networks' steps of depth that the newest pair completes; the last ones return the result.
 
-    Nothing comes after the last step of the card, after an order to stop, or where no depth can be known.
+    There are none after the card's last step, after an order to stop, or where no depth is known.
     """
     if attempt.fed:
         return []
@@ -100,21 +100,21 @@ def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
 
 
 def _read_n(models: ModelSet) -> int:
-    """How many steps of depth the networks read."""
+    """Number of steps of depth that the networks read."""
     assert models.card.pressing is not None
     return models.card.pressing.steps_n
 
 
 def _run_of_steps(models: ModelSet, attempt: Attempt, descent: Descent) -> DecisionRun:
     still = np.zeros((2, *models.card.input_shape), np.float32)
-    still[..., 2] = 1.0  # a step is a change already, and says itself what was seen
+    still[..., 2] = 1.0  # a step is already a change, and states its own visibility
     return DecisionRun(models, still, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm, descent.conditions)
 
 
 def decide_again(models: ModelSet, attempt: Attempt) -> Evidence:
-    """What other networks make of all that an attempt has shown those that decided it.
+    """The evidence of other networks from the same input of an attempt.
 
-    Raises Refusal where these would refuse, or where nothing was shown.
+    Raises Refusal if these would refuse, or if there was no input.
     """
     card, descent = models.card, attempt.descent
     if card.pressing:
@@ -139,7 +139,7 @@ def latencies(run: DecisionRun, last: PairObservation) -> dict[str, float]:
 
 
 def check_evidence(models: ModelSet, attempt: Attempt, evidence: Evidence) -> None:
-    """Raise Refusal if the evidence is too weak, or the markers too few to believe that these are imprints."""
+    """Raise Refusal if the evidence is too weak, or the markers too few for these to be imprints."""
     threshold = max(step.card.min_confidence for step in models.steps)
     if not evidence.confidence >= threshold:
         raise Refusal("low_confidence", f"class probability {evidence.confidence:.2f}, expected {threshold:g}")
@@ -151,7 +151,7 @@ def check_evidence(models: ModelSet, attempt: Attempt, evidence: Evidence) -> No
 
 
 def slip_message(insertion_id: str, attempt: Attempt, observation: Observation, now_ns: int) -> wire.Slip:
-    """Stop now: which frame of which finger showed what, and how old it is."""
+    """The order to stop: the frame and finger with the slip, and the frame's age."""
     return wire.Slip(
         insertion_id=insertion_id,
         attempt=attempt.arm.attempt,
@@ -165,7 +165,7 @@ def slip_message(insertion_id: str, attempt: Attempt, observation: Observation, 
 
 
 def enough_message(attempt: Attempt) -> Iterator[wire.Enough]:
-    """The order to stop, if the networks have seen all that they read while the arm was still going down."""
+    """The order to stop, if the networks have all their input while the arm is still descending."""
     descent, pair = attempt.descent, attempt.ring[-1]
     if attempt.stage is Stage.ARMED and not attempt.slip_sent and descent is not None and descent.enough:
         attempt.stops(pair.captured_ns)
@@ -180,7 +180,7 @@ def enough_message(attempt: Attempt) -> Iterator[wire.Enough]:
 def correction(
     insertion_id: str, attempt: Attempt, evidence: Evidence, command: Command, latency_ms: dict[str, float]
 ) -> wire.Correction:
-    """The message that carries a command and all it rests on."""
+    """The message with a command and its evidence."""
     turns = turns_deg(attempt.ring[-1])
     return wire.Correction(
         insertion_id=insertion_id,

@@ -1,7 +1,7 @@
-"""Control charts of what drifts in a cell: a CUSUM each, on how a value ranks among the first ones of its object.
+"""Control charts for drift in a cell: one CUSUM per chart, on a value's rank among the first ones of its object.
 
-Ranks have the same distribution whatever a value is, so one limit serves all (Page 1954; normal scores). In control,
-one chart of twenty alarms within 1,000 insertions; a shift by one standard deviation is noticed after some 25.
+Ranks have the same distribution whatever the value, so one limit serves all (Page 1954; normal scores). In control, one
+chart of twenty alarms within 1,000 insertions; a shift by one standard deviation is detected after about 25.
 """
 
 import bisect
@@ -15,14 +15,14 @@ from statistics import NormalDist
 from typing import NamedTuple
 
 LEARNT_N = 100  # insertions of an object
-OBJECTS_N = 32  # of which first insertions are kept; what comes later is compared with none
-SLACK, LIMIT, MOST = 0.5, 12.0, 24.0  # standard deviations; nothing adds up beyond MOST, so that what is over ends
-SUPPORTS = 0.5 * LIMIT  # from here on another chart counts for the cause
+OBJECTS_N = 32  # with stored first insertions; values of later objects are not compared
+SLACK, LIMIT, MOST = 0.5, 12.0, 24.0  # standard deviations; sums are capped at MOST, so that an alarm can end
+SUPPORTS = 0.5 * LIMIT  # from here on another chart supports a cause
 SIDES = {"light": (-1, 1), "markers": (-1,), "gel": (1,), "reach": (-1, 1), "coverage": (-1,), "trials": (1,)}
 
 
 class Cause(NamedTuple):
-    """What a chart on one side stands for, where none before it speaks, too."""
+    """The cause behind one side of a chart, if no chart before it signals, too."""
 
     chart: str
     side: int
@@ -47,7 +47,7 @@ _NORMAL = NormalDist()
 class Chart:
     """``learnt``: sorted first values by object. ``high`` and ``low`` are the two sums.
 
-    ``alarmed``: it has crossed its limit, and has not come down by half since.
+    ``alarmed``: it has crossed its limit and has not fallen by half since.
     """
 
     learnt: dict[str, list[float]] = field(default_factory=dict)
@@ -56,7 +56,7 @@ class Chart:
     alarmed: bool = False
 
     def add(self, value: float, of: str) -> None:
-        """Learn from one of the first values of an object, or compare with them."""
+        """Learn from one of an object's first values, or compare with them."""
         first = self.learnt.get(of)
         if first is None:
             if len(self.learnt) == OBJECTS_N:
@@ -71,12 +71,12 @@ class Chart:
         self.low = min(MOST, max(0.0, self.low - off - SLACK))
 
     def sum(self, side: int) -> float:
-        """What has added up on the high side (1) or the low one (-1)."""
+        """The sum on the high side (1) or the low one (-1)."""
         return self.high if side > 0 else self.low
 
 
 def _score(first: list[float], value: float) -> float:
-    """The normal score of the rank of a value among the first ones."""
+    """The normal score of a value's rank among the first ones."""
     ranks = bisect.bisect_left(first, value) + bisect.bisect_right(first, value)
     return _NORMAL.inv_cdf((0.5 * ranks + 0.5) / (len(first) + 1))
 
@@ -88,20 +88,20 @@ class Charts:
         self._path, self._lock = path, threading.Lock()
         self._within = ""
         self._charts = {name: Chart() for name in SIDES}
-        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):  # a broken file keeps no cell from working
+        with contextlib.suppress(OSError, ValueError, TypeError, KeyError):  # a broken file must not stop a cell
             kept = json.loads(path.read_text())
             self._charts = {name: Chart(**kept["charts"][name]) for name in SIDES}
             self._within = str(kept["within"])
 
     def level(self, name: str) -> float:
-        """How near a chart is to its limit, which is 1."""
+        """Level of a chart relative to its limit, which is 1."""
         return max(self._charts[name].sum(side) for side in SIDES[name]) / LIMIT
 
     def add(self, values: Mapping[str, float], of: str, within: str) -> list[tuple[str, Cause]]:
-        """One insertion's values by chart; the charts that alarm with it, and the likeliest cause of each.
+        """Add one insertion's values by chart; returns the charts that alarm with it, and the likeliest cause of each.
 
-        ``within`` names gels and networks: with others everything is learnt anew. Raises OSError where the charts
-        cannot be kept; they go on.
+        ``within`` names gels and networks: with others everything is learnt again. Raises OSError if the charts cannot
+        be stored; they continue in memory.
         """
         with self._lock:
             return self._add(values, of, within)
@@ -125,7 +125,7 @@ class Charts:
         return chart.alarmed and not before
 
     def _cause(self, name: str) -> Cause:
-        """Of all that speak, the first; at least the chart itself does."""
+        """The first cause of all signalling charts, which include the chart itself."""
         return next(cause for cause in self._speaking(name))
 
     def _speaking(self, name: str) -> Iterator[Cause]:

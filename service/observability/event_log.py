@@ -42,7 +42,7 @@ def _on_event(kind: str, content: Any) -> None:
 
 
 def facts(message: wire.ServiceMessage) -> dict[str, Any]:
-    """The fields of a message that a log line carries, rounded."""
+    """The fields of a message for a log line, rounded."""
     line: dict[str, Any] = {"insertion": message.insertion_id}
     for name in LOGGED.get(message.type, ()):
         value = getattr(message, name)

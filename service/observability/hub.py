@@ -17,8 +17,8 @@ log = structlog.get_logger()
 class Hub:
     """Passes events to listeners and keeps the newest frame and observation of each finger. Thread safe.
 
-    Listeners are called in the publishing thread and must return at once (they hand over to their own loop). One that
-    raises is logged and counted: a listener cannot break an insertion.
+    Listeners are called in the publishing thread and must return at once (they hand over to their own loop). A listener
+    that raises is logged and counted: it cannot break an insertion.
     """
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class Hub:
         self._lock = threading.Lock()
 
     def subscribe(self, listener: Listener) -> Callable[[], None]:
-        """Add a listener; returns what removes it."""
+        """Add a listener; returns a function that removes it."""
         with self._lock:
             self._listeners = (*self._listeners, listener)
 

@@ -1,4 +1,4 @@
-"""Log lines are written by a thread of their own, so that logging cannot delay or end an insertion.
+"""A separate thread writes log lines, so that logging cannot delay or end an insertion.
 
 Standard error is often a pipe. Its reader may stall (writes block), leave (writes raise), or have a full disk.
 """
@@ -14,7 +14,7 @@ MAX_WAITING = 4096  # lines; beyond it new ones are lost, and counted
 class LogLines:
     """A stream for loggers: ``write`` takes whole lines, returns at once and never raises. Thread safe.
 
-    ``stream`` is asked for at each line, as the process's standard error may be replaced while it runs.
+    ``stream`` is called for each line, as the process's standard error may be replaced while it runs.
     """
 
     def __init__(self, stream: Callable[[], TextIO]) -> None:
@@ -36,7 +36,7 @@ class LogLines:
         """Nothing to do: lines are flushed as they are written."""
 
     def close(self, timeout_s: float = 2.0) -> None:
-        """Write what waits, for at most ``timeout_s``, and end the thread."""
+        """Write the pending lines, for at most ``timeout_s``, and end the thread."""
         try:
             self._lines.put(None, timeout=timeout_s)
         except queue.Full:
@@ -60,6 +60,6 @@ class LogLines:
             stream = self._stream()
             stream.write(line)
             stream.flush()
-        except (OSError, ValueError, AttributeError):  # gone, closed, or there never was one
+        except (OSError, ValueError, AttributeError):  # gone, closed, or never there
             return False
         return True

@@ -17,13 +17,13 @@ from service.perception.slip.imprint import ImprintWatch
 from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.open_gel import OpenGel, shrunk
 
-_PRESSED = 2.0  # times what an untouched gel may show; from there on an object is certainly held
+_PRESSED = 2.0  # times the bulge limit of an untouched gel; beyond it an object is certainly held
 
 
 class TactileFinger:
-    """One finger's perception chain; takes raw frames where a calibration is given, and rectified ones always.
+    """One finger's perception chain; accepts rectified frames and, with a calibration, raw ones.
 
-    ``spec`` is the rectified frame the networks expect; ``imprint``: the imprint is followed as well.
+    ``spec`` is the rectified frame that the networks expect; ``imprint``: also follow the imprint.
     """
 
     def __init__(
@@ -46,14 +46,14 @@ class TactileFinger:
         self._stopped = False
 
     def rearm(self) -> None:
-        """The next frame becomes the reference of slip and onset; the tracker goes on."""
+        """The next frame becomes the reference of slip and onset; tracking continues."""
         self._rearm = True
         self._liveness.rearm()
 
     def learn_open(self, frame: TactileFrame) -> str:
-        """Take the frame as that of a gel that nothing touches; why that cannot be, or nothing.
+        """Take the frame as the open gel, touched by nothing; returns why that cannot be, or "".
 
-        A gel other than the one that was calibrated is refused: a swapped camera looks well by itself.
+        A gel other than the calibrated one is refused: a swapped camera looks right by itself.
         """
         image, _ = self._rectified(frame)
         field = MarkerTracker().update(image, frame.captured_ns)

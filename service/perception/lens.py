@@ -1,11 +1,11 @@
-"""What bends the straight rows of a marker grid: a lens with radial distortion, and a gel that is not flat.
+"""Distortions of the straight rows of a marker grid: a lens with radial distortion, and a gel that is not flat.
 
-Lens: a point at distance r (in shares of ``scale_px``) from ``centre_px`` is seen nearer or further than a pinhole
-camera would show it: ideal - centre = (raw - centre) (1 + k1 r^2 + k2 r^4), with r of the raw point (the inverse form
-of Brown 1971, which needs no iteration from the raw frame on).
+Lens: a point at distance r (in shares of ``scale_px``) from ``centre_px`` appears nearer or further than in a pinhole
+camera: ideal - centre = (raw - centre) (1 + k1 r^2 + k2 r^4), with r of the raw point (the inverse form of Brown 1971,
+which needs no iteration from the raw frame).
 
-Warp: what remains after lens and homography (a gel glued unevenly, a curved skin, a mirror) as Legendre polynomials
-of the place in the rectified frame.
+Warp: the remainder after lens and homography (a gel glued unevenly, a curved skin, a mirror) as Legendre polynomials of
+the place in the rectified frame.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 Float64 = NDArray[np.float64]
 _STEPS = 30
 _CLOSE = 1e-7  # of the warp's extent
-_STEEPEST = 0.5  # change of a warp, or of a radius, from which on two points could become one
+_STEEPEST = 0.5  # change of a warp, or of a radius, from which two points could coincide
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,13 +31,13 @@ class Lens:
     k2: float
 
     def ideal(self, raw: Float64) -> Float64:
-        """Points [..., 2] as a pinhole camera would show them, from where the raw frame shows them, both in px."""
+        """Points [..., 2] as in a pinhole camera, from their places in the raw frame, both in px."""
         off = raw - np.asarray(self.centre_px)
         squared = np.square(off / self.scale_px).sum(-1, keepdims=True)
         return np.asarray(self.centre_px + off * (1 + squared * (self.k1 + self.k2 * squared)))
 
     def raw(self, ideal: Float64) -> Float64:
-        """The inverse of :meth:`ideal`, by Newton on the radius; right where the lens is :meth:`one_to_one`."""
+        """The inverse of :meth:`ideal`, by Newton on the radius; correct where the lens is :meth:`one_to_one`."""
         off = ideal - np.asarray(self.centre_px)
         goal = np.linalg.norm(off / self.scale_px, axis=-1, keepdims=True)
         r = goal.copy()
@@ -48,7 +48,7 @@ class Lens:
         return np.asarray(self.centre_px + off * np.where(goal > 0, r / np.maximum(goal, 1e-12), 1))
 
     def one_to_one(self, width_px: int, height_px: int) -> bool:
-        """Whether no two points of a raw frame of this size are the same ideal point."""
+        """Whether no two points of a raw frame of this size have the same ideal point."""
         values = np.array([*self.centre_px, self.scale_px, self.k1, self.k2])
         if not (np.isfinite(values).all() and self.scale_px > 0):
             return False
@@ -62,8 +62,8 @@ class Lens:
 class Warp:
     """Adds to points the polynomials ``coefficients`` [2, terms] of their place between ``low`` and ``high`` [2].
 
-    Beyond these corners the correction of the nearest point between them holds. ``terms`` is that of a full order:
-    3, 6, 10, 15, 21 or 28.
+    Beyond these corners the correction of the nearest point between them applies. ``terms`` is the number of a full
+    order: 3, 6, 10, 15, 21 or 28.
     """
 
     low: Float64
@@ -75,7 +75,7 @@ class Warp:
         return np.asarray(points + self.terms(points, self.order) @ self.coefficients.T)
 
     def undo(self, points: Float64) -> Float64:
-        """The inverse of :meth:`apply`, by fixed point; right where the warp is :meth:`one_to_one`."""
+        """The inverse of :meth:`apply`, by fixed point; correct where the warp is :meth:`one_to_one`."""
         before = points
         for _ in range(_STEPS):
             last, before = before, points - self.terms(before, self.order) @ self.coefficients.T
@@ -85,7 +85,7 @@ class Warp:
 
     @property
     def order(self) -> int:
-        """Of the polynomials."""
+        """Order of the polynomials."""
         return order_of(self.coefficients.shape[1])
 
     def terms(self, points: Float64, order: int) -> Float64:
@@ -96,7 +96,7 @@ class Warp:
         return np.asarray(full[:, i + j <= order])
 
     def one_to_one(self) -> bool:
-        """Whether no two points become the same."""
+        """Whether no two points coincide after the warp."""
         if not np.isfinite(self.coefficients).all() or not (self.high > self.low).all():
             return False
         count = 25
@@ -117,7 +117,7 @@ class Projection:
     warp: Warp | None = None
 
     def plane(self, raw: Float64) -> Float64:
-        """Where raw points [n, 2] lie in the plane of the markers, [n, 2]."""
+        """Places of raw points [n, 2] in the plane of the markers, [n, 2]."""
         flat = transformed(self.homography, raw if self.lens is None else self.lens.ideal(raw))
         return flat if self.warp is None else self.warp.apply(flat)
 

@@ -11,20 +11,21 @@ from service.perception.markers.field import MarkerField
 from service.perception.slip.detector import SlipState
 from service.perception.slip.imprint import ImprintChange
 
-WEIGHED_SHARE = 0.5  # of the bulge that a gel showed under an object whose weight alone was felt: with less it is lost
+WEIGHED_SHARE = 0.5  # share of the gel's bulge under an object felt by weight alone; below it the object is lost
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
     """One frame after perception.
 
-    ``image`` is the rectified frame uint8 [H, W, 3]; ``field`` the markers; ``slip`` the slip state since the last
-    rearm; ``onset_ns`` the capture stamp of the first frame that shows the object's motion, once that is certain;
-    ``cost_ms`` the time of rectification, tracking and slip detection. ``bulge``: how far the markers are from where
-    they lie in an untouched gel, in shares of what such a gel may show; below 1 nothing touches it, None: unknown.
-    ``touch``: the same of the whole picture, where one of the open gel was learnt; what phases of a grasp follow.
-    ``weight``: how far the markers hang down, from 1 on something's weight.
-    ``imprint``: what the imprint between the markers did, where it is asked for.
+    - ``image``: the rectified frame uint8 [H, W, 3]. ``field``: the markers.
+    - ``slip``: the slip state since the last rearm.
+    - ``onset_ns``: capture stamp of the first frame that shows the object's motion, once certain.
+    - ``cost_ms``: time of rectification, tracking and slip detection.
+    - ``bulge``: displacement of the markers from the untouched gel over its limit; below 1 nothing touches it, None: unknown.
+    - ``touch``: the same for the whole picture, if the open gel's was learnt; the phases of a grasp follow it.
+    - ``weight``: downward displacement of the markers; from 1 on something's weight.
+    - ``imprint``: change of the imprint between the markers, if requested.
     """
 
     finger: Finger
@@ -42,14 +43,14 @@ class Observation:
 
     @property
     def informative(self) -> bool:
-        """Whether this frame says anything about slip: its markers were found anew and compared with the reference."""
+        """Whether this frame says anything about slip: its markers are new and were compared with the reference."""
         return self.field.usable and self.slip.state not in {"unknown", "lost"}
 
 
 class FingerWatch(Protocol):
     """Perception of one finger; not thread safe.
 
-    ``gel_distance``: how unlike its open gel is to the one that was calibrated, 0 to 2; None if that is not known.
+    ``gel_distance``: difference between its open gel and the calibrated one, 0 to 2; None if unknown.
     """
 
     gel_distance: float | None
@@ -58,7 +59,7 @@ class FingerWatch(Protocol):
         """The next frame shows the held object at rest: it becomes the reference of slip and onset."""
 
     def learn_open(self, frame: TactileFrame) -> str:
-        """Take the frame as that of a gel that nothing touches; why that cannot be, or nothing."""
+        """Take the frame as the open gel, touched by nothing; returns why that cannot be, or ""."""
 
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame; raise ContractError if its size is neither raw nor rectified."""
@@ -73,7 +74,7 @@ class PairObservation:
 
     @property
     def looks_open(self) -> bool:
-        """Whether both gels look as they do where nothing touches them, but for something's weight."""
+        """Whether both gels look untouched, apart from something's weight."""
         return all(f.bulge is not None and max(f.bulge, f.touch or 0.0) < 1.0 for f in self.fingers)
 
     @property
@@ -91,11 +92,11 @@ class PairObservation:
         return max(self.left.captured_ns, self.right.captured_ns)
 
     def pixels(self) -> NDArray[np.uint8]:
-        """Rectified uint8 [2, H, W, 3], left first, as the networks take them."""
+        """Rectified uint8 [2, H, W, 3], left first, as input of the networks."""
         return np.stack([self.left.image, self.right.image])
 
     def markers_px(self) -> NDArray[np.float32]:
-        """Where both fingers' markers are, float32 [2, rows, columns, 2]; NaN where they were not found."""
+        """Positions of both fingers' markers, float32 [2, rows, columns, 2]; NaN where they were not found."""
         fields = self.left.field, self.right.field
         places = [np.where(one.valid[..., None], one.rest_px + one.displacement_px, np.nan) for one in fields]
         return np.stack(places).astype(np.float32)

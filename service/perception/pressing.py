@@ -1,8 +1,8 @@
-"""The gel's motion in physical terms: on a fixed lattice in mm, and step by step of depth since the object first moved.
+"""The gel's motion in physical terms: on a fixed lattice in mm, in steps of depth since the object first moved.
 
-A frame's depth follows from its stamp and the arm's speed. Motion grows from the depth at which the object touches,
-which lies between two frames; it is found by going back along the first growth. Between frames the field is taken to
-go straight, so the mean over a step of depth is a weighted mean of frames: the same for every rate and speed.
+A frame's depth follows from its stamp and the arm's speed. Motion grows from the depth of first contact, which lies
+between two frames; it is found by extrapolating the first growth backwards. Between frames the field is interpolated
+linearly, so the mean over a step of depth is a weighted mean of frames: the same for every rate and speed.
 """
 
 from dataclasses import dataclass, field
@@ -14,16 +14,16 @@ from service.contract.model_card import Lattice, Pressing
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
-VISIBLE_SHARE = 0.25  # of the markers that could show a point's motion
-CLOSEST_MM = 1e-4  # no two moments are nearer
+VISIBLE_SHARE = 0.25  # share of the markers that could show a point's motion
+CLOSEST_MM = 1e-4  # least distance of two moments
 _LEAST_GROWTH = 1e-6
 
 
 def lattice_weights(rest_mm: Floats, lattice: Lattice, pitch_mm: float) -> Floats:
     """Weights [rows * columns, n] of markers resting at ``rest_mm`` [n, 2] for the motion of each lattice point.
 
-    A marker shares itself among the points around it, less with distance; ``pitch_mm`` of the markers, where it is
-    coarser than the lattice's, is how far that reaches. 1 is as much as a point has where markers lie all around.
+    A marker contributes to the points around it, less with distance. The range is the lattice's pitch or, if coarser,
+    the markers' ``pitch_mm``. 1 is the sum of a point surrounded by markers.
     """
     reach = max(lattice.pitch_mm, pitch_mm)
     apart = np.abs(lattice.points_mm.reshape(-1, 1, 2) - rest_mm[None]) / reach
@@ -32,7 +32,7 @@ def lattice_weights(rest_mm: Floats, lattice: Lattice, pitch_mm: float) -> Float
 
 
 def on_lattice(moved_mm: Floats, visible: NDArray[np.bool_], weights: Floats) -> Floats:
-    """Motion [n, 2] in mm of markers that are ``visible`` [n] -> [points, 3]: (du_mm, dv_mm, 1 or 0 if not seen)."""
+    """Motion [n, 2] in mm of markers that are ``visible`` [n] -> [points, 3]: (du_mm, dv_mm, 1 or 0 if not visible)."""
     shared = weights * visible
     total = shared.sum(1, keepdims=True)
     mean = shared @ np.where(visible[:, None], moved_mm, 0.0) / np.maximum(total, _LEAST_GROWTH)
@@ -41,10 +41,10 @@ def on_lattice(moved_mm: Floats, visible: NDArray[np.bool_], weights: Floats) ->
 
 
 def onset_depth(depths_mm: Doubles, moved: Floats, first: int) -> float:
-    """Depth at which motion began, given that frame ``first`` is the first to show it and one more came after it.
+    """Depth at which motion began, if frame ``first`` is the first to show it and one more has followed.
 
-    ``moved`` [n, ...] against rest. How far a frame's field has gone is measured along the next one's, where noise
-    adds nothing; the line through both, gone back to nothing, lies between the frame and the one before.
+    ``moved`` [n, ...] against rest. A frame's motion is measured along the next one's, where noise adds nothing; the
+    line through both, extrapolated to zero, lies between the frame and the one before.
     """
     later = moved[first + 1].ravel().astype(np.float64)
     length = float(later @ later)
@@ -56,12 +56,12 @@ def onset_depth(depths_mm: Doubles, moved: Floats, first: int) -> float:
 
 
 def step_weights(depths_mm: Doubles, begin_mm: float, end_mm: float) -> Doubles:
-    """Weights [n] of frames at rising depths for the mean of what lies between ``begin_mm`` and ``end_mm``."""
+    """Weights [n] of frames at rising depths for the mean between ``begin_mm`` and ``end_mm``."""
     inner = depths_mm[(depths_mm > begin_mm) & (depths_mm < end_mm)]
     places = np.concatenate([[begin_mm], inner, [end_mm]])
     upper = np.clip(np.searchsorted(depths_mm, places), 1, len(depths_mm) - 1)
     share = (places - depths_mm[upper - 1]) / (depths_mm[upper] - depths_mm[upper - 1])
-    share = np.clip(share, 0.0, 1.0)  # before the first frame nothing else is known
+    share = np.clip(share, 0.0, 1.0)  # nothing is known before the first frame
     widths = np.diff(places)
     trapezoid = 0.5 * (np.concatenate([[0.0], widths]) + np.concatenate([widths, [0.0]])) / (end_mm - begin_mm)
     weights = np.zeros(len(depths_mm))
@@ -72,7 +72,7 @@ def step_weights(depths_mm: Doubles, begin_mm: float, end_mm: float) -> Doubles:
 
 @dataclass(slots=True)
 class DepthSteps:
-    """One descent, fed frame by frame from a few before the onset on; gives each step of depth once it is complete."""
+    """One descent, fed frame by frame from a few before the onset on; returns each step of depth once complete."""
 
     spec: Pressing
     speed_mm_s: float
@@ -86,13 +86,13 @@ class DepthSteps:
 
     @property
     def pressed_mm(self) -> float:
-        """How far the object has been pressed since its onset, 0 while that is not known."""
+        """Travel of the press since its onset, 0 while unknown."""
         return 0.0 if self.begin_mm is None else self._depths_mm[-1] - self.begin_mm
 
     def begin(self, stamps_ns: list[int], fields: list[Floats], first: int) -> None:
-        """Take the frames up to now, fields [2, rows, columns, 3] each; ``first`` is the first to show motion.
+        """Take the frames so far, fields [2, rows, columns, 3] each; ``first`` is the first to show motion.
 
-        What was seen before it is at rest; the frame just before may have begun to move.
+        Frames before it are at rest; the frame just before may have begun to move.
         """
         before = fields[: max(1, first - 1)]
         self._rest = np.mean(before, 0, dtype=np.float32)
@@ -103,7 +103,7 @@ class DepthSteps:
             self.add(stamp_ns, one)
 
     def add(self, stamp_ns: int, field_mm: Floats) -> None:
-        """Take the next frame; one that is not later than the last shows nothing new and is left out."""
+        """Take the next frame; one no later than the last is dropped."""
         depth_mm = (stamp_ns - self._start_ns) * 1e-9 * self.speed_mm_s
         if self._depths_mm and depth_mm < self._depths_mm[-1] + CLOSEST_MM:
             return
@@ -113,7 +113,7 @@ class DepthSteps:
             self._find_onset()
 
     def fresh(self) -> list[Floats]:
-        """The steps [2, rows, columns, 3] that were completed since the last call, at most ``spec.steps_n`` in all."""
+        """The steps [2, rows, columns, 3] completed since the last call, at most ``spec.steps_n`` in all."""
         steps: list[Floats] = []
         depths_mm, size_mm = np.array(self._depths_mm), self.spec.step_mm
         while self.begin_mm is not None and self.steps_n < self.spec.steps_n:
@@ -137,7 +137,7 @@ class DepthSteps:
         return np.concatenate([(field_mm[..., :2] - self._rest[..., :2]) * visible, visible], -1)
 
     def _find_onset(self) -> None:
-        """Put a field at rest where the motion began, in place of the frames before it."""
+        """Put a field at rest at the onset, in place of the frames before it."""
         first, moved = self._first, np.stack(self._fields)[..., :2]
         self.begin_mm = onset_depth(np.array(self._depths_mm), moved, first)
         still = np.zeros_like(self._fields[0])

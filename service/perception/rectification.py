@@ -1,12 +1,13 @@
 """From the raw camera frame to the rectified one in which the markers form a regular grid.
 
-A calibration file is TOML: ``schema_version = 1`` and one table for each finger, ``[left]`` and ``[right]``, with
-``raw_px = [width, height]``, ``rectified_px = [width, height]`` and ``homography`` (3 rows of 3): pixels of the raw
-frame to pixels of the rectified one, u right, v down, pixel centres at integers. Where the lens bends the rows, the
-homography starts from its ideal picture: ``lens_centre_px``, ``lens_scale_px``, ``lens_k`` (k1, k2). Where the gel
-does, ``warp_low_px``, ``warp_high_px`` and ``warp_px`` (2 rows of coefficients) correct its result
-(:mod:`service.perception.lens`). What was measured stands beside: ``date``, ``serial``, ``residual_px``,
-``found_share``, ``fingerprint`` (:mod:`service.perception.markers.fingerprint`).
+A calibration file is TOML: ``schema_version = 1`` and one table per finger, ``[left]`` and ``[right]``, with ``raw_px =
+[width, height]``, ``rectified_px = [width, height]`` and ``homography`` (3 rows of 3): pixels of the raw frame to
+pixels of the rectified one, u right, v down, pixel centres at integers.
+
+Where the lens bends the rows, the homography starts from its ideal picture: ``lens_centre_px``, ``lens_scale_px``,
+``lens_k`` (k1, k2). Where the gel does, ``warp_low_px``, ``warp_high_px`` and ``warp_px`` (2 rows of coefficients)
+correct its result (:mod:`service.perception.lens`). Measurements are stored with it: ``date``, ``serial``,
+``residual_px``, ``found_share``, ``fingerprint`` (:mod:`service.perception.markers.fingerprint`).
 """
 
 import json
@@ -28,18 +29,18 @@ from service.perception.lens import Lens, Projection, Warp, order_of
 SCHEMA_VERSION = 1
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Size = Annotated[list[int], Field(min_length=2, max_length=2)]  # width, height
-_MIN_AREA_SHARE = 0.02  # of the raw frame, seen by the rectified one
+_MIN_AREA_SHARE = 0.02  # least share of the raw frame that the rectified one covers
 
 
 class CalibrationError(ValueError):
-    """A calibration that cannot be used; the text names the file, the finger and what was wrong."""
+    """A calibration that cannot be used; the text names the file, the finger and the fault."""
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """How a calibration came about.
+    """Provenance of a calibration.
 
-    ISO ``date``; ``serial`` of the camera, "" if it tells none; ``residual_px``, RMS distance of the markers from the
+    ISO ``date``; ``serial`` of the camera, "" if it has none; ``residual_px``, RMS distance of the markers from the
     regular grid in rectified px; ``found_share`` of the grid's markers; ``fingerprint`` of the gel.
     """
 
@@ -52,10 +53,10 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class CameraCalibration:
-    """One camera: what it delivers, what it is turned into, and by which homography (float64 [3, 3], raw to rectified).
+    """One camera: its raw and rectified frames, and the homography (float64 [3, 3], raw to rectified).
 
-    Raises CalibrationError if the homography is not finite, degenerate, or takes the rectified frame from (almost)
-    nowhere in the raw one, and if lens or warp would show two places as one.
+    Raises CalibrationError if the homography is not finite, degenerate, or maps (almost) none of the raw frame to the
+    rectified one, or if lens or warp would make two places coincide.
     """
 
     homography: NDArray[np.float64]
@@ -81,7 +82,7 @@ class CameraCalibration:
 
     @property
     def projection(self) -> Projection:
-        """From the raw frame to the rectified one."""
+        """The projection from the raw frame to the rectified one."""
         return Projection(self.homography, self.lens, self.warp)
 
     def _check_view(self, matrix: NDArray[np.float64]) -> None:
@@ -105,7 +106,7 @@ class CameraCalibration:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """The calibration of a cell: one camera a finger."""
+    """The calibration of a cell: one camera per finger."""
 
     left: CameraCalibration
     right: CameraCalibration
@@ -120,7 +121,7 @@ class Calibration:
 
     @classmethod
     def parse(cls, content: bytes, path: str | Path) -> Self:
-        """Of a calibration file's bytes; raise CalibrationError with one clear line, which names the path."""
+        """Parse a calibration file's bytes; raise CalibrationError with one clear line, which names the path."""
         try:
             table = parse_toml(content, path)
         except ContractError as error:
@@ -144,7 +145,7 @@ class Calibration:
 
 
 class _CameraTable(Contract):
-    """A finger's table as the file has it."""
+    """A finger's table in the file."""
 
     raw_px: Size
     rectified_px: Size

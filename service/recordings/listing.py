@@ -1,4 +1,4 @@
-"""What lies in the folder of recordings: finished insertions, and why others that should be there are not."""
+"""Contents of the recordings folder: finished insertions, and problems with the others."""
 
 import math
 from datetime import datetime
@@ -66,7 +66,7 @@ class Summary(BaseModel):
 
     @property
     def charted(self) -> dict[str, float]:
-        """What control charts are given of it; nothing of one that a person ended or that went on in another."""
+        """Values for the control charts; none from an insertion that a person ended or that continued in another."""
         if self.outcome == "aborted":
             return {}
         held_n, stated_n = self.held_n
@@ -84,7 +84,7 @@ class Summary(BaseModel):
 
 
 def list_recordings(root: Path, most_n: int | None = None) -> tuple[list[dict[str, Any]], list[str]]:
-    """Finished insertions, newest first (the ``most_n`` newest), and why others that should be there are not."""
+    """Finished insertions, newest first (the ``most_n`` newest), and the problems with the others."""
     listed: list[dict[str, Any]] = []
     problems: list[str] = []
     try:

@@ -1,4 +1,4 @@
-"""Reading recordings back, whole ones and those a crash cut off."""
+"""Reads recordings, complete ones and those that a crash cut off."""
 
 import json
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ from service.recordings.writer import IMAGE, OUTCOME, RECOVERY
 
 
 class RecordingError(ContractError):
-    """A file is no recording of an insertion; the text names it."""
+    """A file is not a recording of an insertion; the text names it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Entry:
 
 
 class Recording:
-    """A recorded insertion; ``complete`` is False if the file ends early (what was read is still good).
+    """A recorded insertion; ``complete`` is False if the file ends early (the part read is still valid).
 
     ``recovered`` is True if it once did and was closed at the next start.
     """
@@ -97,7 +97,7 @@ class Recording:
 
 
 def pixels_of(topic: str, data: bytes) -> NDArray[np.uint8]:
-    """The picture that a message of a finger's image topic holds."""
+    """The picture in a message of a finger's image topic."""
     if topic.endswith(IMAGE[CompressedImage]):
         return decode_jpeg(CompressedImage.FromString(data).data)
     image = RawImage.FromString(data)

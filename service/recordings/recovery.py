@@ -1,7 +1,7 @@
-"""What a crash left behind: recordings without an end are closed, so that every tool opens them.
+"""Recovery after a crash: recordings without an end are closed, so that every tool opens them.
 
-A killed service leaves ``insertion.mcap.part``, complete but for the last second. The recorder holds a lock on that
-file while it writes, which the kernel lifts when the process dies: a part that can be locked has no writer any more.
+A killed service leaves ``insertion.mcap.part``, complete except for the last second. The recorder locks that file while
+it writes, and the kernel releases the lock when the process dies: a part that can be locked has no writer any more.
 """
 
 import contextlib
@@ -24,10 +24,10 @@ log = structlog.get_logger()
 
 
 def recover(root: Path) -> list[Path]:
-    """Close every recording under ``root`` that lost its writer; returns the files made whole.
+    """Close every recording under ``root`` that lost its writer; returns the completed files.
 
-    What cannot be closed is left as it is: an old recording must not keep the service from starting. A part that holds
-    no insertion at all is renamed to ``insertion.mcap.unreadable`` and left for people.
+    A file that cannot be closed is left unchanged: an old recording must not keep the service from starting. A part
+    without any insertion is renamed to ``insertion.mcap.unreadable`` and left for people.
     """
     recovered = []
     for part in sorted(root.glob(f"*/{PART}")):
@@ -39,7 +39,7 @@ def recover(root: Path) -> list[Path]:
 
 
 def is_being_written(folder: Path) -> bool:
-    """Whether a recorder lives that writes into this folder."""
+    """Whether a live recorder writes into this folder."""
     try:
         with (folder / PART).open("rb") as stream:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -51,7 +51,7 @@ def is_being_written(folder: Path) -> bool:
 
 
 def _closed(part: Path, stream: IO[bytes]) -> bool:
-    """Whether the part was made whole; one that cannot be now (a full disk) is left for the next start."""
+    """Whether the part was completed; if that is impossible now (a full disk), it is left for the next start."""
     try:
         return _close(part, stream)
     except Exception as error:
@@ -81,7 +81,7 @@ def _close(part: Path, stream: IO[bytes]) -> bool:
 
 
 def _copy(stream: IO[bytes], out: IO[bytes]) -> dict[str, object] | None:
-    """Copy what can be read into a whole file; returns its summary, None if it never was a recording."""
+    """Copy the readable part into a complete file; returns its summary, None if it never was a recording."""
     writer = Writer(out, chunk_size=1 << 20, compression=CompressionType.LZ4)
     writer.start(profile="", library="tactile-insertion")
     schemas: dict[int, int] = {0: 0}

@@ -1,4 +1,4 @@
-"""How much of the disk recordings may take: one bound, kept by removing the oldest; and whether there is room."""
+"""Disk space of recordings: one limit, kept by removing the oldest, and a check for room."""
 
 import contextlib
 import os
@@ -24,7 +24,7 @@ def problem_of(root: Path) -> str:
 
 
 def make_room(root: Path, max_bytes: int) -> int:
-    """Prune so that the next insertion fits too; returns how large its file may become.
+    """Prune so that the next insertion fits, too; returns the largest size that its file may reach.
 
     Raises OSError where ``root`` cannot be read.
     """
@@ -36,7 +36,7 @@ def make_room(root: Path, max_bytes: int) -> int:
 def prune(root: Path, max_bytes: int) -> list[Path]:
     """Remove the oldest insertions until the rest fits into ``max_bytes``; the newest always stays. Returns them.
 
-    What is not named as a recording is not ours: neither removed nor counted.
+    Folders that are not named like a recording are neither removed nor counted.
     """
     entries = root.iterdir() if root.is_dir() else ()
     folders = sorted(path for path in entries if NAME.fullmatch(path.name) and path.is_dir())
@@ -53,7 +53,7 @@ def prune(root: Path, max_bytes: int) -> list[Path]:
 
 
 def _size_bytes(folder: Path) -> int:
-    """What a folder's files take; one that vanishes meanwhile (renamed, removed by hand) counts nothing."""
+    """Size of a folder's files; one that vanishes meanwhile (renamed, removed by hand) counts as 0."""
     total = 0
     for file in folder.iterdir():
         with contextlib.suppress(FileNotFoundError):

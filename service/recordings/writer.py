@@ -54,8 +54,8 @@ from service.perception.observation import Observation
 from service.recordings.schemas import CompressedImage, Markers, RawImage, descriptor_set, encode, json_schema
 
 NAME = re.compile(r"[0-9]{8}T[0-9]{6,12}_[A-Za-z0-9_-]{1,64}")  # of a recording's folder
-FLUSH_S = 0.2  # what is lost if the service is killed, and a chunk that was under way
-MAX_WAITING_BYTES = 64 << 20  # of frames and markers; some 10 s of JPEG at 2 x 60 fps
+FLUSH_S = 0.2  # most recent time that a kill may lose, besides a chunk in progress
+MAX_WAITING_BYTES = 64 << 20  # of frames and markers; about 10 s of JPEG at 2 x 60 fps
 MAX_INSERTION_BYTES = 2 << 30
 PART = "insertion.mcap.part"
 FINAL = "insertion.mcap"
@@ -63,8 +63,8 @@ RECOVERING = "insertion.mcap.recovering"
 UNREADABLE = "insertion.mcap.unreadable"
 IMAGE = {CompressedImage: "image", RawImage: "image_raw"}  # a topic has one schema, whatever the camera sends
 MEDIA = {"json": "application/json", "toml": "application/toml"}  # of attachments
-OUTCOME = "outcome"  # name of the metadata that an ended recording carries
-RECOVERY = "recovery"  # name of the metadata that a recovered recording carries
+OUTCOME = "outcome"  # name of the metadata in an ended recording
+RECOVERY = "recovery"  # name of the metadata in a recovered recording
 
 
 class _Mcap:
@@ -108,8 +108,8 @@ class _Mcap:
 class Recorder:
     """Writes one insertion in its own thread; every method returns at once.
 
-    If the disk is too slow, or the file reaches ``largest_bytes``, frames are left out (and counted), messages and
-    calls never.
+    If the disk is too slow, or the file reaches ``largest_bytes``, frames are dropped (and counted); messages and calls
+    never are.
     """
 
     root: Path
@@ -136,7 +136,7 @@ class Recorder:
         self.folder.mkdir(parents=True)
         self._offset_ns = time.time_ns() - time.monotonic_ns()
         self._stream = (self.folder / PART).open("wb")
-        fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # shows a recovery that the writer lives
+        fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # shows a recovery that the writer is alive
         self._mcap = _Mcap(self._stream)
         facts = {"insertion_id": self.insertion_id, "started": started.isoformat()}
         self._mcap.metadata(
@@ -150,7 +150,7 @@ class Recorder:
 
     @property
     def path(self) -> Path:
-        """Where the finished recording will lie."""
+        """Path of the finished recording."""
         return self.folder / FINAL
 
     def frame(self, frame: CameraFrame) -> None:
@@ -171,11 +171,11 @@ class Recorder:
         self._queue.put(lambda: self._mcap.json("/calls", dict(value) | {"now_ns": now_ns}, now_ns + self._offset_ns))
 
     def robot(self, sample: wire.RobotSample, at_ns: int) -> None:
-        """Record where the arm and the gripper were at ``at_ns`` of this machine's monotonic clock."""
+        """Record the pose of arm and gripper at ``at_ns`` of this machine's monotonic clock."""
         self._queue.put(lambda: self._mcap.json("/robot", sample.model_dump(mode="json"), at_ns + self._offset_ns))
 
     def work_out(self, topic: str, work: Callable[[], Mapping[str, Any]], now_ns: int) -> None:
-        """Record what is still to be worked out, in the recorder's thread, which has the time."""
+        """Record a value that the recorder's thread, which has the time, still has to compute."""
         self._queue.put(lambda: self._mcap.json(topic, work(), now_ns + self._offset_ns))
 
     def attempt(self, number: int, gather: Callable[[], Mapping[str, NDArray[Any]]]) -> None:
@@ -189,7 +189,7 @@ class Recorder:
         self._queue.put(save)
 
     def close(self, summary: Mapping[str, Any]) -> Path:
-        """Write what waits, close the file, give it its final name; blocks until done and returns the path."""
+        """Write pending data, close the file, give it its final name; blocks until done and returns the path."""
         if self._thread.is_alive():
             self._queue.put(lambda: self._write_summary(summary))
             self._queue.put(None)
@@ -197,7 +197,7 @@ class Recorder:
         return self.path
 
     def _put_bulk(self, topic: str, kind: Any, values: dict[str, Any], of: TactileFrame | Observation) -> None:
-        """Queue what may be left out: nothing of it but the bytes to be written is kept."""
+        """Queue data that may be dropped, keeping only the bytes to be written."""
         size = sum(len(value) if isinstance(value, bytes) else getattr(value, "nbytes", 0) for value in values.values())
         with self._lock:
             room = self._waiting_bytes + size <= MAX_WAITING_BYTES and not self._stuck
@@ -227,7 +227,7 @@ class Recorder:
         self._finish()
 
     def _finish(self) -> None:
-        """Give the file its final name; one that could not be written to its end is left for a recovery."""
+        """Give the file its final name; an incomplete one is left for a recovery."""
         try:
             self._mcap.close()
             if not self._stuck:
@@ -235,7 +235,7 @@ class Recorder:
         except OSError as error:
             self.error = self.error or str(error)
         finally:
-            with contextlib.suppress(OSError):  # tries once more to write what is left
+            with contextlib.suppress(OSError):  # a last try to write the rest
                 self._stream.close()
 
     def _write_bulk(self, topic: str, kind: Any, values: dict[str, Any], log_ns: int, seq: int, size: int) -> None:
@@ -255,13 +255,13 @@ class Recorder:
 
 
 def image_message(camera_frame: CameraFrame) -> tuple[Any, dict[str, Any]]:
-    """A frame as Foxglove knows it: the camera's own JPEG, or raw pixels; without its time."""
+    """A frame in Foxglove's form: the camera's own JPEG, or raw pixels; without its time."""
     frame = camera_frame.frame
     if camera_frame.jpeg is not None:
         return CompressedImage, {"frame_id": frame.finger, "data": camera_frame.jpeg, "format": "jpeg"}
     height, width = frame.pixels.shape[:2]
     size = {"width": width, "height": height, "encoding": "bgr8", "step": 3 * width}
-    data = np.ascontiguousarray(frame.pixels).data.cast("B")  # copied by the recorder's thread, not by the caller
+    data = np.ascontiguousarray(frame.pixels).data.cast("B")  # the recorder's thread copies it, not the caller
     return RawImage, {"frame_id": frame.finger, "data": data} | size
 
 
@@ -284,7 +284,7 @@ def markers_message(observation: Observation) -> dict[str, Any]:
 
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """An ``.npz`` with light compression (numpy's own level costs ten times the time for a few per cent)."""
+    """An ``.npz`` with light compression (numpy's own level takes ten times as long for a few per cent)."""
     partial = path.with_suffix(".partial")
     with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, values in arrays.items():
@@ -294,7 +294,7 @@ def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a small file that is there whole or not at all."""
+    """Write a small file atomically."""
     partial = path.with_suffix(".partial")
     partial.write_text(text)
     partial.replace(path)

@@ -1,6 +1,6 @@
-"""One answer to each attempt: a correction where its evidence can be trusted, else ``no_decision`` with the reason.
+"""One answer to each attempt: a correction if its evidence can be trusted, else ``no_decision`` with the reason.
 
-At full depth the answer is what keeps it from being claimed (:mod:`service.decision.claim`).
+At full depth the answer is the list of doubts against a claim (:mod:`service.decision.claim`).
 """
 
 import time
@@ -23,7 +23,7 @@ Decision = wire.Correction | wire.NoDecision
 class Decider:
     """Decides the attempts of one insertion; ``command`` is the move of the last correction.
 
-    ``consistency`` is None where something else than its corrections moves the arm.
+    ``consistency`` is None where moves other than its corrections drive the arm.
     """
 
     insertion_id: str
@@ -35,7 +35,7 @@ class Decider:
     consistency: Consistency | None = field(default_factory=Consistency)
 
     def before_descending(self, attempt: Attempt) -> list[wire.Refused]:
-        """What forbids an attempt whatever its frames will show: a cell that the networks do not know."""
+        """Refusals independent of an attempt's frames: the networks do not know this cell."""
         spec = self.models.card.pressing
         why = spec.outside(attempt.conditions()) if spec else ""
         return [attempt.refusal("untrained", why)] if why else []
@@ -48,11 +48,11 @@ class Decider:
         return decision
 
     def afresh(self, insertion_id: str) -> "Decider":
-        """The decider of an insertion that goes on with the same object, regrasped: it knows the error as before."""
+        """The decider for an insertion that continues with the same object, regrasped: it keeps the known error."""
         return replace(self, insertion_id=insertion_id, command=None, grasp=GraspRecord())
 
     def doubts(self, attempt: Attempt, now_ns: int, max_age_ms: float) -> tuple[wire.Doubt, ...] | None:
-        """What keeps full depth from being claimed, empty if nothing; None while frames may still show it."""
+        """Doubts against a claim of full depth, empty if none; None while frames may still resolve them."""
         if newest_age_s(attempt.pushes, now_ns) * 1e3 <= max_age_ms:
             return doubts(attempt, self.grasp)
         waited_s = 0.0 if attempt.stopped_ns is None else (now_ns - attempt.stopped_ns) / 1e9

@@ -1,4 +1,4 @@
-"""Sessions ready to use; the simulator's lock-step loop makes its own with the same call as the real-time service."""
+"""Builds sessions; the simulator's lock-step loop uses the same call as the real-time service."""
 
 from service.contract import FINGERS
 from service.contract.wire import ControllerName, Limits
@@ -16,9 +16,9 @@ def make_session(
     *,
     imprint: bool = True,
 ) -> InsertionSession:
-    """A session with fresh perception of both fingers; without ``calibration`` it takes rectified frames only.
+    """A session with new perception of both fingers; without ``calibration`` it accepts rectified frames only.
 
-    ``imprint``: slides of the imprint between the markers stop the arm as well.
+    ``imprint``: slides of the imprint between the markers stop the arm, too.
     """
     spec = models.card.frame
     left, right = (

@@ -1,4 +1,4 @@
-"""Both fingers of a session: their perception, what each showed last, how old that is, and their open gels."""
+"""Both fingers of a session: their perception, their newest observations and ages, and their open gels."""
 
 from dataclasses import dataclass, field, replace
 
@@ -13,9 +13,9 @@ from service.perception.slip.slide import SlideWitness
 
 @dataclass(slots=True)
 class Fingers:
-    """Neither finger's markers detect slip for the other, the imprints of both do so together.
+    """Each finger detects slip by its own markers; the imprints of both detect slides together.
 
-    An age is that of the finger that is further behind.
+    An age is that of the older finger.
     """
 
     left: FingerWatch
@@ -31,7 +31,7 @@ class Fingers:
         return self.left if finger == "left" else self.right
 
     def note(self, *frames: TactileFrame) -> None:
-        """These frames came, whether or not anyone looks at them."""
+        """Note the arrival of these frames, examined or not."""
         for frame in frames:
             self._newest_ns[frame.finger] = frame.captured_ns
 
@@ -45,27 +45,27 @@ class Fingers:
         return self._observations[frame.finger]
 
     def _slides(self) -> bool:
-        """Whether both fingers' imprints, once each was looked at anew, say that the object slides out."""
+        """Whether both fingers' imprints, each newly examined, show that the object slides out."""
         score = self._witness.update([observation.imprint for observation in self._observations.values()])
         return score is not None and score >= 0
 
     def missing(self, pair: FramePair) -> list[TactileFrame]:
-        """The frames of a pair that were not perceived yet."""
+        """The frames of a pair that have not been perceived yet."""
         frames = (pair.left, pair.right)
         return [
             f for f in frames if f.finger not in self._observations or not belongs(self._observations[f.finger], pair)
         ]
 
     def both(self) -> PairObservation:
-        """What both fingers showed last."""
+        """The newest observations of both fingers."""
         return PairObservation(self._observations["left"], self._observations["right"])
 
     def emptied(self, attempt: Attempt) -> str:
-        """Why the hand counts as empty since the attempt was armed, said once; or nothing.
+        """Why the hand counts as empty since the attempt was armed, reported once; or "".
 
-        A finger that its picture did not show touched when it was armed, as under a face that covers all of a stiff
-        gel, is judged by its markers; where only the object's weight showed, by what is left of that. At full depth it
-        is the claim that asks whether the object is still held.
+        A finger whose picture did not show a touch at arming, as under a face that covers all of a stiff gel, is judged
+        by its markers; if only the object's weight showed, by the remaining share of it. At full depth the claim checks
+        whether the object is still held.
         """
         observations, before = self.both().fingers, self.grasp.whole.phase
         if attempt.generation != self._grasped_in:  # arming has shown that something is held
@@ -83,17 +83,17 @@ class Fingers:
         return "both gels are empty: the object has left the hand"
 
     def _touch(self, finger: Observation) -> float | None:
-        """How strongly a finger feels the object now, from 1 on; None: not known."""
+        """Strength of the touch that a finger feels now, from 1 on; None: unknown."""
         if finger.finger not in self._faint:
             return finger.touch
         return None if finger.bulge is None else finger.bulge / self._faint[finger.finger]
 
     def age_ms(self, now_ns: int) -> float | None:
-        """Age of the newest frame; None until both fingers have shown one."""
+        """Age of the newest frame; None until both fingers have one."""
         return (now_ns - min(self._newest_ns.values())) / 1e6 if len(self._newest_ns) == len(FINGERS) else None
 
     def stale(self, now_ns: int, allowed_ms: float) -> str:
-        """Why the frames are too old, or nothing."""
+        """Why the frames are too old, or ""."""
         age_ms = self.age_ms(now_ns)
         if age_ms is None or age_ms <= allowed_ms:
             return ""
@@ -101,7 +101,7 @@ class Fingers:
 
 
 def gels_of(watches: tuple[FingerWatch, ...], attempt: Attempt | None) -> dict[str, float | None]:
-    """What the summary says of the gels, by the last reference and the open gels; what is not known is left out."""
+    """Facts about the gels for the summary, from the last reference and the open gels; unknown ones are omitted."""
     known = [watch.gel_distance for watch in watches if watch.gel_distance is not None]
     facts: dict[str, float | None] = {"gel_distance": round(max(known), 4)} if known else {}
     if attempt is not None and attempt.reference is not None:

@@ -19,9 +19,9 @@ from service.session.state_machine import InsertionSession, Replies, ignore
 from service.versions.beside import Beside
 
 Send = Callable[[ServiceMessage], None]
-LET_GO_S = 0.0005  # a thread that keeps computing holds the interpreter that the sending thread needs
+LET_GO_S = 0.0005  # a thread that keeps computing holds the interpreter lock that the sending thread needs
 _TASK = {"purpose", "object", "start", "approach", "versions"}
-HOLD_S = 0.1  # nothing waits longer than this, and a tick, to be recorded
+HOLD_S = 0.1  # longest delay of recording, apart from a tick
 
 
 @dataclass(slots=True)
@@ -29,10 +29,11 @@ class Insertion:
     """Feeds a session, records its input and output, and passes its messages on.
 
     Only the perception thread calls its methods. ``send`` is the driving client (None while it is away); ``publish``
-    takes (kind, content) for watchers and metrics, ``show`` each observation, ``jpegs`` holds what recent frames were
-    decoded from. A message goes to the client first, then to watchers, then into the recording: each of the three wakes
-    a thread that may take this one's core. What comes just before an answer is recorded after it, at most ``HOLD_S``
-    later.
+    takes (kind, content) for watchers and metrics, ``show`` each observation, ``jpegs`` holds the JPEGs of recent
+    frames.
+
+    A message goes to the client first, then to watchers, then into the recording: each of the three wakes a thread that
+    may take this one's core. Messages just before an answer are recorded after it, at most ``HOLD_S`` later.
     """
 
     session: InsertionSession
@@ -97,7 +98,7 @@ class Insertion:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What the summary says of the task."""
+        """Facts about the task for the summary."""
         episode = self.episode
         task = {} if episode is None else episode.model_dump(mode="json", include=_TASK)
         seconds = round((now_ns() - self.opened_ns) / 1e9, 2)
@@ -161,7 +162,7 @@ class Insertion:
             if self.beside:
                 self._note(Recorder.work_out, "/beside", partial(_answers, self.beside, attempt, facts), now_ns())
 
-    # ---- what can wait until the client has its answer --------------------------------------------------------------
+    # ---- work that can wait until the client has its answer ---------------------------------------------------------
 
     def _settle_unless_near(self, now: int, *, paired: bool) -> None:
         """Settle, unless the answer may come next; nothing waits for long."""
@@ -173,7 +174,7 @@ class Insertion:
             self._settle()
 
     def _settle(self) -> None:
-        """Publish and record what waits; first give way to the thread that sends to the client."""
+        """Publish and record what is pending; first yield to the thread that sends to the client."""
         if self._sent and self._later:
             time.sleep(LET_GO_S)
         self._sent, self._settled_ns = False, now_ns()
@@ -213,7 +214,7 @@ class Insertion:
                 self._write(self._send_all([answer]), now)
 
     def _send_all(self, replies: Replies) -> Replies:
-        """Send replies to the client and queue them for watchers; returns what to record, as it was sent."""
+        """Send replies to the client and queue them for watchers; returns the messages as sent, for the recording."""
         sent: Replies = []
         for answer in replies:
             reply = with_current_age(answer)
@@ -222,7 +223,7 @@ class Insertion:
             if isinstance(reply, wire.ServiceHeartbeat):
                 continue
             sent.append(reply)
-            if not isinstance(reply, wire.Watching):  # one a pair of frames: watchers see the frames themselves
+            if not isinstance(reply, wire.Watching):  # one per pair of frames: watchers see the frames themselves
                 self._sent = True
                 self._later.append(partial(self.publish, "message", reply))
         return sent
@@ -235,7 +236,7 @@ class Insertion:
 
 
 def _facts_of(attempt: Attempt, decision: wire.Correction | wire.NoDecision) -> dict[str, Any]:
-    """What the summary says of a decided attempt (see :class:`service.recordings.listing.Decided`)."""
+    """Facts about a decided attempt for the summary (see :class:`service.recordings.listing.Decided`)."""
     facts: dict[str, Any] = {"attempt": attempt.arm.attempt, "type": decision.type, "depth_mm": attempt.depth_mm}
     facts["reach_pitch"] = strongest_push(attempt.pushes)
     if isinstance(decision, wire.NoDecision):
@@ -246,7 +247,7 @@ def _facts_of(attempt: Attempt, decision: wire.Correction | wire.NoDecision) -> 
 
 
 def _answers(beside: Beside, attempt: Attempt, facts: dict[str, Any]) -> dict[str, Any]:
-    """What others would have answered, for the recording and, as ``facts`` are written last, for its summary."""
+    """Answers of other versions, for the recording and, since ``facts`` are written last, for its summary."""
     facts["beside"] = beside.decide(attempt)
     return {"attempt": attempt.arm.attempt, "active": beside.active, "answers": facts["beside"]}
 

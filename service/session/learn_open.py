@@ -1,4 +1,4 @@
-"""The open gels: what both fingers show before they grasp, learnt from the first frames after the client asked."""
+"""The open gels: both fingers before a grasp, learnt from the first frames after the client's request."""
 
 from dataclasses import dataclass, field
 
@@ -8,7 +8,7 @@ from service.perception.observation import FingerWatch
 
 @dataclass(slots=True)
 class OpenGels:
-    """Learns each finger's open gel once for every time that it is asked to."""
+    """Learns each finger's open gel once per request."""
 
     _asked_ns: int | None = None
     _learnt: set[Finger] = field(default_factory=set)
@@ -16,11 +16,11 @@ class OpenGels:
 
     @property
     def waiting(self) -> bool:
-        """Whether frames are still wanted."""
+        """Whether frames are still needed."""
         return self._asked_ns is not None
 
     def ask(self, now_ns: int) -> None:
-        """Learn from frames that were captured from now on."""
+        """Learn from frames captured from now on."""
         self._asked_ns, self._problem = now_ns, "no frame arrived"
         self._learnt.clear()
 

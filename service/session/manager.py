@@ -1,6 +1,6 @@
-"""The one insertion under way: how it opens, which client drives it, how it ends and what is kept of it.
+"""The insertion under way: how it opens, which client drives it, how it ends and what is kept of it.
 
-Only the perception thread calls a manager's methods; closing a recording alone happens outside it.
+Only the perception thread calls a manager's methods; only the closing of a recording happens outside it.
 """
 
 import json
@@ -50,7 +50,7 @@ REMEMBERED_N = 256  # ended insertions whose `finished` is sent again to a clien
 
 @dataclass(slots=True)
 class InsertionManager:
-    """Opens, hands over and closes insertions; ``models`` is what the next one decides with."""
+    """Opens, hands over and closes insertions; the next one decides with ``models``."""
 
     settings: Settings
     models: ModelSet
@@ -64,14 +64,14 @@ class InsertionManager:
     jpegs: dict[tuple[Finger, int], bytes | None] = field(default_factory=dict)
     unrecorded_n: int = 0
     _unrecorded: str = ""
-    _decided: Decider | None = None  # of the last insertion: the next one may go on with its object
+    _decided: Decider | None = None  # of the last insertion: the next one may continue with its object
     _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
     _calibration_text: str = field(init=False)
     _gels: dict[Finger, str] = field(init=False)
     charts: Charts = field(init=False)
 
     def __post_init__(self) -> None:
-        """Read the calibration's file once: later it may have changed or gone."""
+        """Read the calibration file once: it may change or disappear later."""
         self._calibration_text = self.settings.calibration.read_text() if self.settings.calibration else ""
         self.charts = Charts(self.settings.recordings / CHARTS)
         measured = {f: self.calibration.camera(f).measured for f in FINGERS} if self.calibration else {}
@@ -79,12 +79,12 @@ class InsertionManager:
 
     @property
     def recording_problem(self) -> str:
-        """Why insertions are not recorded whole: the last one was not, or the next one cannot be; empty if they are."""
+        """Why recordings are incomplete: the last one was, or the next one will be; "" if they are complete."""
         recorder = self.active.recorder if self.active else None
         return (recorder.error if recorder else "") or self._unrecorded or problem_of(self.settings.recordings)
 
     def _note_recorded(self, problem: str) -> None:
-        """An insertion was recorded whole, or there is a problem."""
+        """Note that an insertion was recorded completely, or the problem."""
         self._unrecorded = problem
         if problem:
             self.unrecorded_n += 1
@@ -97,11 +97,11 @@ class InsertionManager:
         )
 
     def connect(self, hello: wire.ClientHello, send: Send) -> None:
-        """A client wants to drive: open an insertion, or resume its own one after a lost connection."""
+        """Connect a client that wants to drive: open an insertion, or resume its own one after a lost connection."""
         if refused := unspoken(hello):
             send(refused)
             return
-        if ended := self._ended.get(hello.insertion_id):  # the client that drives now is left alone
+        if ended := self._ended.get(hello.insertion_id):  # the client that drives now is not disturbed
             send(ended)
             return
         active = self.active
@@ -122,22 +122,22 @@ class InsertionManager:
                 self.hub.publish("error", detail)
                 send(wire.Fault(insertion_id=hello.insertion_id, code="not_ready", detail=detail, fatal=True))
                 return
-        if active.send is not None and active.send != send:  # from now on it would get no slip message
+        if active.send is not None and active.send != send:  # from now on it would get no slip messages
             detail = "another connection drives this insertion now; hold"
             active.send(wire.Fault(insertion_id=hello.insertion_id, code="taken_over", detail=detail, fatal=True))
         active.send = send
         active.message(hello)
 
     def receive(self, message: Any, send: Send) -> None:
-        """A message of a client; ignored unless ``send`` is the connection that drives."""
+        """Handle a message of a client; ignored unless ``send`` is the driving connection."""
         if self.active and self.active.send == send:
             self.active.message(message)
         elif isinstance(message, wire.ClientHeartbeat) and message.insertion_id in self._ended:
-            # while its recording is being closed, a client that waits for `finished` must not see silence
+            # while its recording is being closed, a client that waits for `finished` must still hear something
             send(beat(message, now_ns(), None))
 
     def disconnect(self, send: Send) -> None:
-        """The connection of a client is gone; its insertion waits for it for ``client_timeout_s``."""
+        """Note that a client's connection is lost; its insertion waits for it for ``client_timeout_s``."""
         if self.active and self.active.send == send:  # bound methods are equal, not the same
             self.active.send = None
 
@@ -163,7 +163,7 @@ class InsertionManager:
 
     def _open(self, hello: wire.ClientHello) -> Insertion:
         given = self.settings
-        if self.versions and not hello.continues:  # what goes on is decided by whom it was begun with
+        if self.versions and not hello.continues:  # a continued insertion is decided by the version that began it
             self.models = self.versions.active
         session = make_session(
             self.models, self.calibration, given.controller, given.limits, imprint=given.imprint_slip
@@ -177,7 +177,7 @@ class InsertionManager:
         recorder = self._recorder(hello.insertion_id, session, before.insertion_id if before else "")
         insertion = Insertion(session, recorder, None, self._publish, self.hub.observation, jpegs=self.jpegs)
         insertion.continues = hello.continues
-        if self.versions and recorder:  # what is not recorded is no evidence
+        if self.versions and recorder:  # an insertion without a recording is no evidence
             insertion.beside = self.versions.beside(session.models, given.limits, given.controller)
         session.on_command = lambda command: self.hub.publish("command", command)
         session.recording = str(recorder.path) if recorder else None
@@ -212,7 +212,7 @@ class InsertionManager:
             return None
 
     def _attachments(self, session: InsertionSession) -> dict[str, bytes]:
-        """What decided and with what: settings, calibration, cards. Tokens stay where they are."""
+        """The setup behind the decisions: settings, calibration, cards. Tokens are omitted."""
         secrets = {"token_watch", "token_drive", "token_admin"}
         attached = {"configuration.json": self.settings.model_dump_json(exclude=secrets, indent=1).encode()}
         if self._calibration_text:
@@ -254,16 +254,16 @@ class InsertionManager:
         give_back()
 
     def _learn(self, insertion: Insertion, finished: wire.Finished) -> None:
-        """Another version may have shown that it should decide."""
+        """Check whether another version should now decide."""
         if self.versions is None or insertion.beside is None:
             return
         try:
             self.versions.learn(insertion.beside, finished, fresh=insertion.continues is None)
-        except Exception as error:  # the insertion has ended well all the same
+        except Exception as error:  # the insertion itself has ended well
             self.hub.publish("error", f"versions: {error or type(error).__name__}")
 
     def _chart(self, summary: dict[str, Any], models: ModelSet) -> None:
-        """What drifts in the cell may alarm; with another gel or other networks it is learnt anew."""
+        """Update the drift charts, which may raise an alarm; another gel or other networks restart them."""
         within = " ".join([*self._gels.values(), *(entry.sha256[:12] for entry in models.entries)])
         try:
             ended = Summary.model_validate(summary)

@@ -1,4 +1,4 @@
-"""Resident memory of a process that runs for months: what is freed goes back to the machine."""
+"""Resident memory of a process that runs for months: freed memory goes back to the machine."""
 
 import ctypes
 import gc
@@ -8,9 +8,9 @@ _M_ARENA_MAX = -8
 
 
 def use_few_arenas() -> None:
-    """Let all threads share two heaps: glibc makes one for each, and each keeps what its thread frees.
+    """Let all threads share two heaps: glibc makes one per thread, and each keeps the memory that its thread frees.
 
-    Call it before threads start. Other C libraries are left as they are.
+    Call it before threads start. Other C libraries are not affected.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
@@ -25,10 +25,10 @@ def give_back() -> None:
 
 
 def stop_searching_what_stays() -> None:
-    """From now on, garbage is looked for only among what is made later.
+    """Restrict garbage collection to objects created from now on.
 
-    Models, routes and schemas stay as long as the service; searching all of them once more, as happens every now and
-    then, would stop every thread for some 20 ms.
+    Models, routes and schemas live as long as the service; scanning all of them, as happens now and then, would stop
+    every thread for about 20 ms.
     """
     gc.collect()
     gc.freeze()

@@ -1,4 +1,4 @@
-"""A recorded sequence of frames, decided as a running insertion decides it: for whoever has frames and no arm."""
+"""Decides a recorded sequence of frames like a running insertion, for users with frames and no arm."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,11 +16,11 @@ ENDS = ("slip", "enough")
 def decide(
     models: ModelSet, pairs: Sequence[FramePair], gap_width_mm: float, **conditions: float | None
 ) -> wire.Correction:
-    """What a session answers to one attempt that showed these rectified pairs, from rest on, at rising stamps.
+    """A session's answer to one attempt with these rectified pairs, starting from rest, at rising stamps.
 
-    ``conditions``: ``speed_mm_s`` of the descent, which networks that read depth ask for, and the grip, shear reach and
-    grasp height as in `wire.Arm`. The arm counts as stopped where the session asks for it, at the last pair otherwise.
-    Raises Refusal with the reason why there is no correction.
+    ``conditions``: ``speed_mm_s`` of the descent, required by networks that read depth, and the grip, shear reach and
+    grasp height as in `wire.Arm`. The arm counts as stopped where the session orders it, else at the last pair. Raises
+    Refusal with the reason if there is no correction.
     """
     speed_mm_s = conditions.pop("speed_mm_s", None)
     named: dict[str, Any] = {"insertion_id": NAME, "attempt": 1}
@@ -43,7 +43,7 @@ def decide(
 
 
 def _correction(replies: Sequence[wire.ServiceMessage]) -> wire.Correction:
-    """The correction among a session's answers; raises Refusal with what came in its place."""
+    """The correction among a session's answers; raises Refusal with the answer that came instead."""
     for reply in replies:
         if isinstance(reply, wire.Correction):
             return reply

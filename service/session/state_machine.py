@@ -1,7 +1,7 @@
 """One insertion, synchronous and free of I/O: messages and frames in, messages out.
 
 The same object runs in real time (called by the service's perception thread, the networks in another one) and in lock
-step (called by the simulator). Time is what the caller says it is: ``now_ns`` is on the clock of ``captured_ns``.
+step (called by the simulator). The caller supplies the time: ``now_ns`` is on the clock of ``captured_ns``.
 """
 
 from collections.abc import Callable
@@ -27,15 +27,15 @@ DEFAULT_LIMITS = Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=50
 
 
 def ignore(_: Any) -> None:
-    """The observer of a session that has none."""
+    """Default observer: does nothing."""
 
 
 @dataclass(slots=True)
 class InsertionSession:
     """State machine of one insertion; :mod:`service.contract.wire` has the order of messages.
 
-    ``submit`` takes network work to another thread, whose result comes back through :meth:`on_result`; without it the
-    work runs at once. ``on_observation`` sees each observation, ``on_attempt`` each attempt when it is decided or
+    ``submit`` hands network work to another thread, whose result comes back through :meth:`on_result`; without it the
+    work runs at once. ``on_observation`` receives each observation, ``on_attempt`` each attempt when it is decided or
     ends, both for recording and display. Not thread safe.
     """
 
@@ -159,7 +159,7 @@ class InsertionSession:
 
     @property
     def wants_frames(self) -> bool:
-        """Whether an attempt is under way; frames between attempts, while the arm moves freely, are of no use."""
+        """Whether an attempt is under way; frames between attempts, while the arm moves freely, are not used."""
         under_way = self.attempt is not None and self.attempt.stage is not Stage.DECIDED
         return (under_way or self._open.waiting) and self.finished is None
 
@@ -173,7 +173,7 @@ class InsertionSession:
         self._fingers.watch(frame.finger).observe(frame)
 
     def on_frame(self, frame: TactileFrame, now_ns: int) -> Replies:
-        """Perceive one finger's frame; report slip at once, and else that both fingers are watched."""
+        """Perceive one finger's frame; report slip at once, otherwise that both fingers are watched."""
         self._fingers.note(frame)
         attempt = self.attempt
         watch = self._fingers.watch(frame.finger)
@@ -242,7 +242,7 @@ class InsertionSession:
     # ---- decisions ------------------------------------------------------------------------------------------------
 
     def on_tick(self, now_ns: int) -> Replies:
-        """Check deadlines and the age of the newest frame; call it a few times a second."""
+        """Check deadlines and the age of the newest frame; call it a few times per second."""
         attempt = self.attempt
         if self._open.waiting:
             return self._open.overdue(str(self.insertion_id), now_ns, self.deadlines.reference_s)
@@ -284,7 +284,7 @@ class InsertionSession:
         return self._finish(cause, doubts)
 
     def _finish(self, cause: wire.Cause | None, doubts: Doubts = ()) -> Replies:
-        """Close the insertion: inserted where nothing speaks against it."""
+        """Close the insertion: inserted if there are no doubts."""
         self.finished = wire.Finished(
             insertion_id=str(self.insertion_id),
             outcome=ending(cause),

@@ -1,9 +1,9 @@
-"""The station: cameras, models and the one insertion under way, each in its own thread.
+"""The station: cameras, models and the insertion under way, each in its own thread.
 
-Threads: one a camera (capture, decode, rectify), ``perception`` (the session: slip path, state machine),
-``networks``, one recorder an insertion. The event loop of the web server only passes messages on. Everything that
-touches the session is a callable in the perception thread's inbox; camera frames wait in a short queue where the
-newest win.
+Threads: one per camera (capture, decode, rectify), ``perception`` (the session: slip path, state machine),
+``networks``, one recorder per insertion. The event loop of the web server only passes messages on. All work on the
+session is posted as callables to the perception thread's inbox; camera frames wait in a short queue where the newest
+win.
 """
 
 import contextlib
@@ -32,15 +32,15 @@ from service.session.warm_up import warm_up
 from service.settings import Settings
 from service.versions.versions import Versions
 
-BACKLOG_FRAMES = 8  # two fingers' worth of about 4 frames; older ones are dropped
-RECENT_N = 16  # frames a finger, whose JPEG is at hand when they make a pair
-PERIOD_NS = 33_000_000  # of a camera whose rate is not known yet
+BACKLOG_FRAMES = 8  # about 4 frames of each finger; older ones are dropped
+RECENT_N = 16  # frames per finger whose JPEG is available when they form a pair
+PERIOD_NS = 33_000_000  # of a camera with an unknown rate
 TICK_S = 0.05
 
 
 @dataclass(slots=True)
 class Counters:
-    """What the station has counted since it started."""
+    """Counts of the station since its start."""
 
     frames_dropped_n: int = 0
     perception_errors_n: int = 0
@@ -84,7 +84,7 @@ class Station:
             camera.start()
 
     def wait_for_cameras(self, timeout_s: float) -> None:
-        """Wait for a first frame of each finger and check its size; raise CameraError with what to do."""
+        """Wait for a first frame of each finger and check its size; raise CameraError with the remedy."""
         deadline = now_ns() + int(timeout_s * 1e9)
         while any(camera.latest is None for camera in self.cameras.values()):
             if now_ns() > deadline:
@@ -131,7 +131,7 @@ class Station:
 
     @property
     def recording_problem(self) -> str:
-        """Why insertions are not recorded whole; empty if they are."""
+        """Why insertions are not recorded completely; empty if they are."""
         return self.manager.recording_problem
 
     # ---- inbox -----------------------------------------------------------------------------------------------------
@@ -158,7 +158,7 @@ class Station:
             self._failed(f"{type(error).__name__}: {error}")
 
     def _failed(self, detail: str) -> None:
-        """A call raised: the client must hold, and this thread must go on."""
+        """Handle an exception of a call: the client must hold, and this thread must go on."""
         self.counters.perception_errors_n += 1
         with contextlib.suppress(Exception):
             self.hub.publish("error", detail)
@@ -203,10 +203,10 @@ class Station:
             self.active.frame(frame, pair)
 
     def _is_outdated(self) -> bool:
-        """Whether the oldest waiting frame is older than a frame period while slip is watched and a newer one waits.
+        """Whether slip is watched and the oldest waiting frame is older than a frame period, with a newer one waiting.
 
-        So slip is detected on frames no older than a frame period and a step, however slow this machine is. While the
-        arm stands still nothing is urgent, and every frame helps the decision.
+        Slip is thus detected on frames no older than a frame period and a step, however slow this machine is. At
+        standstill nothing is urgent, and every frame helps the decision.
         """
         if len(self._frames) <= len(FINGERS) or not (self.active and self.active.session.watches_slip):
             return False
@@ -225,7 +225,7 @@ class Station:
         self.post(lambda: self.manager.fault(code, detail))
 
     def push(self, finger: Finger) -> PushSource:
-        """The source a client pushes frames into; raises ContractError if this finger has a camera of its own."""
+        """The source for a client's pushed frames; raises ContractError if this finger has its own camera."""
         source = self.cameras[finger].source
         if not isinstance(source, PushSource):
             raise ContractError(f"the {finger} camera is {source.name}; start the service with --camera-{finger} push:")
@@ -235,7 +235,7 @@ class Station:
         return self.manager.camera_entries()
 
     def frame_age_ms(self) -> float | None:
-        """Age of the newest frame of the finger that is further behind, None before the first."""
+        """Age of the newest frame of the older finger, None before the first."""
         newest = [camera.newest_ns for camera in self.cameras.values()]
         ages = [(now_ns() - stamp_ns) / 1e6 for stamp_ns in newest if stamp_ns is not None]
         return max(ages) if len(ages) == len(newest) else None
@@ -243,12 +243,12 @@ class Station:
     def reload_models(self) -> None:
         """Load the models folder again and swap it in between insertions; on any fault the old models stay.
 
-        Raises ContractError with what was wrong, or if an insertion is under way.
+        Raises ContractError with the fault, or if an insertion is under way.
         """
         try:
             self._swap(load_models(self.settings.models))
         finally:
-            give_back()  # a set of networks or two: some 30 MB that the allocator would keep
+            give_back()  # one or two sets of networks: about 30 MB that the allocator would keep
 
     def _swap(self, fresh: ModelSet) -> None:
         if fresh.card.frame != self.models.card.frame:
@@ -263,7 +263,7 @@ class Station:
     # ---- clients ---------------------------------------------------------------------------------------------------
 
     def connect(self, hello: wire.ClientHello, send: Send) -> None:
-        """A client wants to drive (see :meth:`InsertionManager.connect`)."""
+        """Connect a client that wants to drive (see :meth:`InsertionManager.connect`)."""
         self.post(lambda: self.manager.connect(hello, send))
 
     def receive(self, message: Any, send: Send) -> None:

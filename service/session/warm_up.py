@@ -18,14 +18,14 @@ from service.recordings.writer import Recorder
 from service.session.insertion import Insertion
 from service.session.state_machine import InsertionSession, ignore
 
-STILL_N = 3  # pairs at rest before the picture begins to move, by a pixel a frame
+STILL_N = 3  # pairs at rest before the picture begins to move, by a pixel per frame
 NAME = "warm-up"
 
 
 def warm_up(session: InsertionSession, frames: Sequence[TactileFrame]) -> None:
     """Play an attempt through a session without a client, then call every controller; nothing is kept.
 
-    ``frames`` are what the cameras show now, one a finger. Raises ContractError if one is neither raw nor rectified.
+    ``frames``: the cameras' present frames, one per finger. Raises ContractError if one is neither raw nor rectified.
     """
     if len(frames) == len(FramePair.__dataclass_fields__):
         with _recorder() as recorder:
@@ -35,7 +35,7 @@ def warm_up(session: InsertionSession, frames: Sequence[TactileFrame]) -> None:
 
 
 def _attempt(insertion: Insertion, frames: Sequence[TactileFrame]) -> None:
-    """The calls of a real attempt: the picture rests, moves, the arm stops, the last pair brings the answer."""
+    """The calls of a real attempt: the picture rests and moves, the arm stops, and the last pair gives the answer."""
     needed = insertion.session.models.card.frames_per_decision
     insertion.message(wire.ClientHello(insertion_id=NAME, client=NAME))
     insertion.message(wire.Arm(insertion_id=NAME, attempt=1, gap_width_mm=50.0, expected_depth_mm=25.0))
@@ -72,7 +72,7 @@ def _decide(session: InsertionSession) -> None:
 
 @contextlib.contextmanager
 def _recorder() -> Iterator[Recorder | None]:
-    """A recorder whose file goes with it; None where no file can be made."""
+    """A recorder whose file is deleted afterwards; None where no file can be made."""
     with contextlib.ExitStack() as stack:
         recorder = None
         with contextlib.suppress(OSError):

@@ -1,1 +1,1 @@
-"""What the commands beside the service itself do."""
+"""Implementations of the commands other than the service itself."""

@@ -1,4 +1,4 @@
-"""The rectification of a camera, from a few frames of a gel that touches nothing.
+"""The rectification of a camera, from a few frames of an untouched gel.
 
 The marker grid is regular on the gel, so the mapping that makes its image regular rectifies the whole frame.
 """
@@ -23,18 +23,18 @@ from service.perception.markers.tracker import MarkerTracker
 from service.perception.rectification import CalibrationError, CameraCalibration, Measured, Rectifier
 from service.tools.grid_fit import GridFit, fit_grid
 
-MIN_SIDE = 0.71  # of the rows and of the columns
+MIN_SIDE = 0.71  # share of the rows and of the columns
 MIN_PRESENT = 0.7
-MAX_DISPLACED = 0.1  # of the grid's markers: seen, but not where a resting gel has them
+MAX_DISPLACED = 0.1  # share of the grid's markers: visible, but not at a resting gel's positions
 MAX_RESIDUAL_PX = 1.0
 WAIT_S = 10.0
 _DARK, _GLARE = 12, 243  # mean grey levels of a frame without light, and of one with too much
 
 
 class Fit(NamedTuple):
-    """One camera's calibration, the grid it rests on, and how far its markers lie off, RMS in rectified px.
+    """One camera's calibration, its grid, and the deviation of its markers, RMS in rectified px.
 
-    There the grid's first marker rests at ``first_px`` [2], its neighbours ``pitch_px`` from it.
+    In the rectified frame the grid's first marker rests at ``first_px`` [2], its neighbours ``pitch_px`` from it.
     """
 
     camera: CameraCalibration
@@ -45,7 +45,7 @@ class Fit(NamedTuple):
 
     @property
     def found_share(self) -> float:
-        """Share of the grid's nodes that show a marker where it belongs."""
+        """Share of the grid's nodes with a marker in the correct place."""
         return float(self.grid.present.mean())
 
 
@@ -83,7 +83,7 @@ def find_grid(image: NDArray[np.uint8], name: str, sensor: Sensor | None) -> Gri
 
 
 def rectify(image: NDArray[np.uint8], grid: GridFit, sensor: Sensor, serial: str = "") -> Fit:
-    """The calibration that lays ``grid`` into the middle of the sensor's; raises CalibrationError if it cannot be."""
+    """The calibration that centres ``grid`` on the sensor's; raises CalibrationError if that is impossible."""
     rows, columns = grid.shape
     spare = np.array([sensor.marker_columns - columns, sensor.marker_rows - rows]) / 2
     first = np.asarray(sensor.first_marker_px) + spare * sensor.marker_pitch_px
@@ -103,13 +103,13 @@ def rectify(image: NDArray[np.uint8], grid: GridFit, sensor: Sensor, serial: str
 
 
 def of_sensor(grid: GridFit, sensor: Sensor) -> bool:
-    """Whether a grid can be the sensor's: not larger, and all but the dark edges of it."""
+    """Whether a grid can be the sensor's: not larger, and complete apart from dark edges."""
     pairs = zip(grid.shape, (sensor.marker_rows, sensor.marker_columns), strict=True)
     return all(ceil(MIN_SIDE * count) <= fitted <= count for fitted, count in pairs)
 
 
 def refusal(fit: Fit, sensor: Sensor) -> str | None:
-    """Why a fit is no calibration of this sensor, None if it is one."""
+    """Why a fit is not a calibration of this sensor, None if it is one."""
     rows, columns = fit.grid.shape
     if not of_sensor(fit.grid, sensor):
         return (
@@ -160,7 +160,7 @@ def check_two_cameras(left: tuple[str, Fit], right: tuple[str, Fit]) -> None:
 
 
 def serial_of(url: str) -> str:
-    """Serial number of a V4L2 camera where the system tells it, else an empty text."""
+    """Serial number of a V4L2 camera if the system reports it, else ""."""
     kind, _, number = url.partition(":")
     path = Path(f"/sys/class/video4linux/video{number}/device/../serial")
     try:

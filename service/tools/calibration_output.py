@@ -1,4 +1,4 @@
-"""What a calibration shows and writes beside its file: residual map, row of figures, profile of a new sensor."""
+"""Outputs of a calibration besides its file: residual map, row of figures, profile of a new sensor."""
 
 import json
 from pathlib import Path
@@ -59,9 +59,9 @@ def _pixel(place: NDArray[np.float64]) -> tuple[int, int]:
 
 
 def profile_of(image: NDArray[np.uint8], grid: GridFit, name: str, pitch_mm: float, fps: int) -> Sensor:
-    """The profile of a sensor seen for the first time.
+    """The profile of a new sensor.
 
-    ``pitch_mm``, the distance of neighbouring markers on the gel, and ``fps`` are what no picture shows. Raises
+    ``pitch_mm``, the distance of neighbouring markers on the gel, and ``fps`` cannot be measured in a picture. Raises
     ContractError if no profile can describe such a grid.
     """
     rows, columns = grid.shape

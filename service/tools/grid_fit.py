@@ -1,8 +1,8 @@
 """A regular grid seen through a lens: found in one raw frame in spite of debris, flares, missing and merged dots.
 
-Spots linked by topology give a first homography. Then the frame is rectified, so that all markers have one size and
-distance, searched again, and matched to the nodes that the model predicts, round by round with a narrower gate. What
-lies off the grid then is no marker. Radial terms enter as far as they pay by Schwarz's criterion (BIC, 1978).
+Spots linked by topology give a first homography. The frame is then rectified, so that all markers have one size and
+distance, searched again, and matched to the predicted nodes, round by round with a narrower gate. Remaining outliers
+are no markers. Radial terms are included while they lower Schwarz's criterion (BIC, 1978).
 """
 
 from collections.abc import Callable, Iterator
@@ -19,26 +19,26 @@ from service.perception.markers.field import BoolArray
 from service.perception.markers.lattice import Lattice, find_lattice
 
 Image = NDArray[np.uint8]
-_GATES = (0.3, 0.2, 0.15, 0.12)  # pitch; how far from its node a spot may lie, round by round
-_BEYOND = 3  # steps beyond the known grid in which more of it is sought
+_GATES = (0.3, 0.2, 0.15, 0.12)  # pitch; largest distance of a spot from its node, round by round
+_BEYOND = 3  # steps beyond the known grid in which more markers are sought
 _WEAK, _ROUND = 0.25, 0.45  # of the typical marker's strength and tightness
 _ALIKE = 0.7  # of a marker's strength and tightness
-_FAR = 2.7  # medians; a marker further off its node (3.2 sigma) is displaced, damaged or none
+_FAR = 2.7  # medians; a marker further off its node (3.2 sigma) is displaced, damaged or false
 _MESH_PX = 4
 _SPARE = 1.25
-_ROW_SHARE = 0.34  # of a row or column must be there for it to be one
+_ROW_SHARE = 0.34  # share of a row or column that must be present
 _ROUGH = (2,)
 _TERMS = (0, 1, 2, 4)  # radial parameters tried: none, k1, k1 k2, k1 k2 and the centre
-_ORDER, _SAMPLES, _PAYS = 6, 3, 0.97  # of the warp: highest order, markers a term, what the next order must gain
+_ORDER, _SAMPLES, _PAYS = 6, 3, 0.97  # of the warp: highest order, markers per term, required gain of the next order
 _PITCH_PX = (10.0, 40.0)  # of the frame that is searched
 
 
 @dataclass(frozen=True, slots=True)
 class GridFit:
-    """Markers found: their grid cells int [n, 2] (column, row, from 0), raw px [n, 2], and the model they obey.
+    """The markers: their grid cells int [n, 2] (column, row, from 0), raw px [n, 2], and the fitted model.
 
     ``shape`` is (rows, columns), ``pitch_px`` the mean distance in the raw frame, ``diameter_px`` likewise.
-    ``displaced_n`` markers were seen that lie off their nodes.
+    ``displaced_n`` visible markers lie off their nodes.
     """
 
     cells: NDArray[np.intp]
@@ -51,14 +51,14 @@ class GridFit:
 
     @property
     def present(self) -> BoolArray:
-        """Which nodes [rows, columns] show a marker where it belongs."""
+        """Which nodes [rows, columns] have a marker in the correct place."""
         there = np.zeros(self.shape, np.bool_)
         there[self.cells[:, 1], self.cells[:, 0]] = True
         return there
 
     @property
     def off(self) -> Float64:
-        """How far each marker lies from its node, in grid units [n, 2]."""
+        """Distance of each marker from its node, in grid units [n, 2]."""
         return self.projection.plane(self.raw_px) - self.cells
 
 
@@ -76,7 +76,7 @@ def fit_grid(image: Image, sensor: Sensor | None = None) -> GridFit | None:
 
 
 def _pictures(image: Image) -> Iterator[Image]:
-    """Grey, and each colour: under coloured light a gel may show its markers in one of them only."""
+    """Grey, and each colour: under coloured light a gel may show its markers in only one of them."""
     if image.ndim == 2:
         yield image
         return
@@ -110,7 +110,7 @@ def _refined(image: Image, start: Lattice, sensor: Sensor | None) -> GridFit | N
 
 
 def _displaced(spots: Candidates, centres: Float64, cells: NDArray[np.intp]) -> int:
-    """How many spots look like markers and stand for a node of the grid, but lie off it."""
+    """Number of spots that look like markers and belong to a node of the grid, but lie off it."""
     nodes = np.round(centres).astype(np.intp)
     known = {tuple(cell) for cell in cells.tolist()}
     inside = ((nodes >= cells.min(0)) & (nodes <= cells.max(0))).all(1)
@@ -125,7 +125,7 @@ def _displaced(spots: Candidates, centres: Float64, cells: NDArray[np.intp]) -> 
 def _search(
     image: Image, model: Projection, cells: NDArray[np.intp], pitch_px: float, diameter: float
 ) -> tuple[Candidates, Float64]:
-    """Spots of the frame once it is rectified, and their grid coordinates [n, 2]."""
+    """Spots of the rectified frame, and their grid coordinates [n, 2]."""
     pitch = float(np.clip(pitch_px, *_PITCH_PX))
     low, high = cells.min(0) - _BEYOND, cells.max(0) + _BEYOND
     coarse = (np.ceil((high - low) * pitch / _MESH_PX)).astype(int) + 1
@@ -161,7 +161,7 @@ def _matched(
 
 
 def _kept(cells: NDArray[np.intp], raw: Float64, sensor: Sensor | None) -> tuple[NDArray[np.intp], Float64]:
-    """Without stray rows and columns at the borders; at most as many as the sensor has, where most of them are."""
+    """Remove stray rows and columns at the borders; keep at most the sensor's number, where most markers are."""
     most = (256, 256) if sensor is None else (sensor.marker_columns, sensor.marker_rows)
     for _ in range(2):
         for axis in (0, 1):
@@ -176,9 +176,9 @@ def _kept(cells: NDArray[np.intp], raw: Float64, sensor: Sensor | None) -> tuple
 
 
 def _window(counts: NDArray[np.intp], most: int) -> tuple[int, int]:
-    """The stretch of rows that are there, [begin, end), at most ``most`` long, with the most markers.
+    """The stretch of present rows, [begin, end), at most ``most`` long, with the most markers.
 
-    Where more is there than a view beyond the usual edge could add, it is another sensor, and left whole.
+    If there are more than a view beyond the usual edge could add, it is another sensor, and left whole.
     """
     there = counts >= _ROW_SHARE * np.percentile(counts[counts > 0], 80)
     middle = int(np.argmax(np.convolve(counts, np.ones(5), "same")))
@@ -197,7 +197,7 @@ def _window(counts: NDArray[np.intp], most: int) -> tuple[int, int]:
 def _settled(
     raw: Float64, cells: NDArray[np.intp], size: tuple[int, int], terms: tuple[int, ...]
 ) -> tuple[Projection | None, NDArray[np.intp], Float64]:
-    """The model, and the markers that obey it."""
+    """The model, and the markers that fit it."""
     model = _best_model(raw, cells, size, terms)
     for _ in range(3):
         if model is None:
@@ -214,7 +214,7 @@ def _settled(
 def _best_model(
     raw: Float64, cells: NDArray[np.intp], size: tuple[int, int], terms: tuple[int, ...]
 ) -> Projection | None:
-    """The lens with the least BIC, and the warp that predicts best."""
+    """The lens with the least BIC, and the warp with the best prediction."""
     best, least = None, np.inf
     for count in terms:
         model = fit_model(raw, cells, size, count)
@@ -229,9 +229,10 @@ def _best_model(
 
 
 def _warp(flat: Float64, cells: NDArray[np.intp]) -> Warp | None:
-    """The warp of grid points ``flat`` [n, 2] to ``cells`` that predicts best what it was not fitted to, or None.
+    """The warp of grid points ``flat`` [n, 2] to ``cells`` with the best prediction of left-out markers, or None.
 
-    Judged on each marker left out (for least squares in closed form, by the leverages); it must pay by a few per cent.
+    Each marker is left out in turn (for least squares in closed form, by the leverages); a warp must gain a few per
+    cent.
     """
     off = cells - flat
     low, high = cells.min(0).astype(np.float64), cells.max(0).astype(np.float64)

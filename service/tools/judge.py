@@ -1,7 +1,7 @@
-"""Recorded grasps judged run by run, by the detector that runs live: tracker, grasp watch, open gel, phases.
+"""Judges recorded grasps run by run, with the live detector: tracker, grasp watch, open gel, phases.
 
-A run is a folder with one video a finger. What a recording cannot tell, the open gel before the grasp, is looked for in
-the run's own frames (`open_frame`). That choice knows the whole run; everything after it sees only what came before.
+A run is a folder with one video per finger. A recording does not state the open gel before the grasp, so it is sought
+in the run's own frames (`open_frame`). That choice uses the whole run; everything after it uses only earlier frames.
 """
 
 import time
@@ -23,20 +23,20 @@ from service.perception.slip.phases import Grasp, Phase
 from service.perception.slip.slide import SlideWitness, slide_score
 from service.tools.open_frame import open_frame
 
-FRAME_NS = 125_000_000  # headers lie about the rate; these sensors deliver about eight frames a second
+FRAME_NS = 125_000_000  # headers are wrong about the rate; these sensors deliver about eight frames per second
 VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm"}
 PHASES: tuple[Phase, ...] = ("open", "contact", "hold", "slip", "lost")
 _LEAST_PX = 64
-_BUFFERED_N = 16  # first frames, in which a camera may still hand out what it had seen of an earlier grasp
+_BUFFERED_N = 16  # first frames, in which a camera may still deliver pictures of an earlier grasp
 
 
 class RunError(ValueError):
-    """Recordings that are not where they should be."""
+    """Recordings are not in the expected place."""
 
 
 @dataclass(slots=True)
 class FingerRun:
-    """One finger's recording after perception, frame by frame; slip score and alarm are those of its markers alone."""
+    """One finger's recording after perception, frame by frame; slip score and alarm come from its markers alone."""
 
     fields: list[MarkerField] = field(default_factory=list)
     pictures: list[NDArray[np.uint8]] = field(default_factory=list)
@@ -46,9 +46,9 @@ class FingerRun:
     spent_s: float = 0.0
 
     def touches(self, opened: int | None) -> list[float | None]:
-        """How strongly the gel is touched in each frame, compared with the open one.
+        """Strength of the touch on the gel in each frame, compared with the open one.
 
-        Touched wherever its markers are seen if no frame shows the gel open: then nothing can be said to be lost.
+        Without an open frame, it counts as touched wherever its markers are visible: a loss cannot be shown then.
         """
         if opened is None:
             return [1.0 if markers.usable else None for markers in self.fields]
@@ -88,14 +88,14 @@ def watched(clip: Path) -> FingerRun:
 
 @dataclass(frozen=True, slots=True)
 class RunReport:
-    """The row of one run, and what the slide witness read in each frame, None before it could."""
+    """The row of one run, and the slide witness's readings in each frame, None before the first."""
 
     row: dict[str, Any]
     evidence: list[list[float] | None]
 
 
 def report_of(folder: Path) -> RunReport:
-    """One run, up to where its shortest video ends; raises RunError if a video of it cannot be used."""
+    """One run, up to the end of its shortest video; raises RunError if one of its videos cannot be used."""
     clips = clips_of(folder)
     fingers = [watched(clip) for clip in clips]
     frames_n = min(len(finger.fields) for finger in fingers)
@@ -122,7 +122,7 @@ def report_of(folder: Path) -> RunReport:
 
 
 def _evidence(fingers: Sequence[FingerRun], frames_n: int) -> list[NDArray[np.float64] | None]:
-    """What the witness read last, in each frame."""
+    """The witness's latest reading, in each frame."""
     witness = SlideWitness()
     last: list[NDArray[np.float64] | None] = [None]
     for k in range(frames_n):
@@ -134,9 +134,9 @@ def _evidence(fingers: Sequence[FingerRun], frames_n: int) -> list[NDArray[np.fl
 def _stories(
     fingers: Sequence[FingerRun], touches: Sequence[list[float | None]], slides: Sequence[bool]
 ) -> list[dict[str, Any]]:
-    """Of the grasp and of each finger: the first frame of each phase, null where it never came, and largest scores.
+    """For the grasp and each finger: the first frame of each phase, null if it never came, and the largest scores.
 
-    The grasp slips where the slide witness says so, a finger where its markers do.
+    The grasp slips by the slide witness, a finger by its markers.
     """
     grasp = Grasp(len(fingers))
     phases: list[list[Phase]] = [[] for _ in range(len(fingers) + 1)]
@@ -151,9 +151,9 @@ def _stories(
 
 
 def _firsts(phases: list[Phase]) -> dict[str, int | None]:
-    """First frame of each phase of the first grasp that was held, or else of the first touch.
+    """First frame of each phase of the first held grasp, or else of the first touch.
 
-    A grasp that is over within the first frames counts only if none follows.
+    A grasp that ends within the first frames counts only if none follows.
     """
     begins = [k for k, (last, now) in enumerate(zip(["open", *phases], phases, strict=False)) if _begins(last, now)]
     grasps = [phases[begin:end] for begin, end in zip(begins, [*begins, len(phases)][1:], strict=True)]
@@ -183,7 +183,7 @@ def _largest(phases: list[Phase], fingers: Sequence[FingerRun]) -> dict[str, flo
 
 
 def runs_of(folder: Path) -> Iterator[Path]:
-    """The folders that hold videos: ``folder``, those in it and those one level further down. RunError: none."""
+    """The folders that hold videos: ``folder``, those in it and those one level further down. RunError if none."""
     if not folder.is_dir():
         raise RunError(f"no folder {folder}: expected runs of one video a finger")
     runs = [run for run in (folder, *sorted(folder.glob("*")), *sorted(folder.glob("*/*"))) if clips_of(run)]

@@ -1,8 +1,8 @@
-"""The open gel in a recording that does not say which of its frames show it.
+"""Finds the open gel in a recording that does not mark its open frames.
 
-Gels are believed to be open only where the grids of all of them look regular (`regular`); of such frames, the first are
-taken in which they are about as regular and as smooth between their markers as ever. A recording in which an object is
-held from the first frame to the last has none.
+Gels count as open only where the grids of all of them look regular (`regular`). Of such frames, the first ones are used
+that are about as regular and as smooth between their markers as any. A recording in which an object is held from the
+first frame to the last has none.
 """
 
 from collections.abc import Sequence
@@ -14,22 +14,22 @@ from numpy.typing import NDArray
 from service.perception.markers.field import MarkerField
 from service.perception.markers.regular import irregular_pitch
 
-_BUFFERED_N = 8  # first frames, which may show an earlier grasp, and whose exposure is not found yet
-_TINTED = 0.15  # a picture whose colour is off the usual one by this share is exposed otherwise
+_BUFFERED_N = 8  # first frames, which may show an earlier grasp, and whose exposure has not settled
+_TINTED = 0.15  # a picture whose colour deviates from the usual one by this share has another exposure
 _MARKER = np.ones((5, 5), np.uint8)  # shrunk px; closes dark markers
 _AROUND_PX = (9, 9)
-_ROUGH = 0.06  # of the picture; where the imprint is
+_ROUGH = 0.06  # share of the picture; the place of the imprint
 _CALM_N = 5  # frames
-_REGULAR_PITCH = 0.016  # RMS off the print; no grasp at hand leaves open gels beyond it, few held ones come below
-_AS_OPEN = 0.15  # of the logarithm of how disturbed all gels look together
-_FIRST_N = 12  # frames after the first that looks open, of which the most open is taken
+_REGULAR_PITCH = 0.016  # RMS off the print; no present grasp leaves open gels beyond it, few held ones are below it
+_AS_OPEN = 0.15  # difference of the logarithm of all gels' joint disturbance
+_FIRST_N = 12  # frames after the first that looks open, of which the most open is used
 
 
 Pictures = Sequence[NDArray[np.uint8]]
 
 
 def open_frame(pictures: Sequence[Pictures], fields: Sequence[Sequence[MarkerField]]) -> int | None:
-    """The frame in which all gels are open, None where no frame shows that.
+    """The frame in which all gels are open, None if there is none.
 
     ``pictures`` of each finger: shrunk, uint8 [h, w, channels]; ``fields``: the markers in the same frames.
     """
@@ -47,7 +47,7 @@ def open_frame(pictures: Sequence[Pictures], fields: Sequence[Sequence[MarkerFie
 
 
 def _beyond_least(disturbance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sum over the fingers [fingers, frames] of the logarithm of how much more is seen than at the least."""
+    """Sum over the fingers [fingers, frames] of the log ratio of the disturbance to its minimum."""
     least = np.array(
         [np.percentile(one[np.isfinite(one)], 2) if np.isfinite(one).any() else np.inf for one in disturbance]
     )
@@ -63,7 +63,7 @@ def _calm(disturbance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _roughness(pictures: Pictures) -> NDArray[np.float64]:
-    """How rough the gel looks between its markers, frame by frame; infinite where exposed otherwise."""
+    """Roughness of the gel between its markers, frame by frame; infinite under another exposure."""
     tint = np.array([np.median(picture.reshape(-1, picture.shape[-1]), 0) for picture in pictures])
     usual = np.abs(tint / np.maximum(np.median(tint, 0), 1.0) - 1).max(1) < _TINTED
     return np.where(usual, np.array([_rough(picture) for picture in pictures]), np.inf)

@@ -28,7 +28,7 @@ _TIMES = {"latency_ms", "age_ms", "recording"}
 
 @dataclass(slots=True)
 class Replay:
-    """Gives a fresh session the input of a recorded one."""
+    """Feeds a new session the input of a recorded one."""
 
     recording: Recording
     session: InsertionSession
@@ -70,7 +70,7 @@ class Replay:
             raise RecordingError(f"{self.recording.path} lacks frame {seq} of the {finger} finger") from None
 
     def _result(self, generation: int) -> WorkResult:
-        """Do the work that waits until it gives the result that was recorded here."""
+        """Run pending work until it gives the result that was recorded here."""
         while self.work:
             result = self.work.popleft().run()
             if result is not None and result.generation == generation:
@@ -79,12 +79,12 @@ class Replay:
 
 
 def comparable(message: dict[str, Any]) -> dict[str, Any]:
-    """A message without times and without what belongs to this machine."""
+    """A message without times and without values of this machine."""
     return {key: value for key, value in message.items() if key not in _TIMES}
 
 
 def differences(recorded: list[dict[str, Any]], replayed: list[dict[str, Any]]) -> list[str]:
-    """Where a replay differs, as lines; camera states in a hello are left out."""
+    """Differences of a replay, as lines; camera states in a hello are ignored."""
     differing = []
     for index in range(max(len(recorded), len(replayed))):
         then = comparable(recorded[index]) if index < len(recorded) else {"type": "nothing"}
@@ -114,10 +114,10 @@ def open_replay(recording: Recording, models: ModelSet) -> Replay:
 
 
 def trusted_models(recording: Recording, folder: Path) -> ModelSet:
-    """The networks that decided a recording, out of a folder that the user trusts.
+    """The networks that decided a recording, from a folder that the user trusts.
 
-    A recording names networks and where they lay, but it may come from anybody: nothing it names is opened. A file of
-    ``folder`` is, once its SHA-256 is one of the recorded ones; raises RecordingError where none of them is there.
+    A recording names networks and their paths, but it may come from anybody: no path in it is opened. A file of
+    ``folder`` is used if its SHA-256 is one of the recorded ones; raises RecordingError if none of them is there.
     """
     recorded = {part.rsplit(":", 1)[1] for part in recording.metadata["models"].split() if ":" in part}
     files = {hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.glob("*.onnx")}
@@ -131,7 +131,7 @@ def trusted_models(recording: Recording, folder: Path) -> ModelSet:
 
 
 def _before(recording: Recording) -> Path | None:
-    """The recording of the insertion that this one goes on with; raises RecordingError where it is not beside it."""
+    """The recording of the insertion that this one continues; raises RecordingError if it is not beside it."""
     if not (continues := recording.metadata.get("continues")):
         return None
     here = recording.path.resolve().parent
@@ -144,7 +144,7 @@ def _before(recording: Recording) -> Path | None:
 
 
 def _replayed(recording: Recording, models: ModelSet) -> Replay:
-    """A recording decided again; one that goes on with a regrasped object needs the one before it."""
+    """A recording decided again; one that continues with a regrasped object needs the one before it."""
     replay = open_replay(recording, models)
     if before := _before(recording):
         decider = _replayed(Recording(before), models).session.decider
@@ -154,7 +154,7 @@ def _replayed(recording: Recording, models: ModelSet) -> Replay:
 
 
 def redecide(path: Path, models_folder: Path | None = None) -> tuple[int, list[str]]:
-    """Decide a recording again: how many messages there are, and where they differ, as lines."""
+    """Decide a recording again; returns the number of messages, and the differences as lines."""
     recording = Recording(path)
     replay = _replayed(recording, trusted_models(recording, models_folder or released_models()))
     recorded = [e.json()["message"] for e in recording.of("/messages") if e.json()["from"] == "service"]

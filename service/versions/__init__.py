@@ -1,1 +1,1 @@
-"""Versions of the networks: one decides, others run beside it, and the better one takes over between insertions."""
+"""Versions of the networks: one decides, others run in shadow, and the better one takes over between insertions."""

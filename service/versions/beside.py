@@ -1,4 +1,4 @@
-"""Versions that run beside the active one in an insertion: the same evidence, their own answers, nothing moved."""
+"""Versions that run beside the active one in an insertion: the same evidence, their own answers, no motion."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -19,11 +19,11 @@ Move = tuple[float, float]
 
 @dataclass(slots=True)
 class Beside:
-    """What versions would have answered in one insertion; of ``networks`` by version the ``active`` one decides it.
+    """Answers of versions in one insertion; of ``networks`` by version the ``active`` one decides it.
 
-    Each has a belief of its own that goes on with the moves that were made, and so foretells whether the next attempt
-    goes in. ``scores``: how well, in order of the attempts that came out. Not thread safe: the recorder's thread asks
-    :meth:`decide`, and once it has ended somebody asks for the rest.
+    Each version has its own belief, updated with the moves that were made, and so predicts whether the next attempt
+    inserts. ``scores``: the quality of these predictions, in order of the attempts. Not thread safe: the recorder's
+    thread calls :meth:`decide`; the other methods are called after it has ended.
     """
 
     active: str
@@ -37,7 +37,7 @@ class Beside:
     _moves: list[Move] = field(default_factory=list)
 
     def decide(self, attempt: Attempt) -> dict[str, Any]:
-        """The answer of each but the active version to a decided attempt, as plain data."""
+        """The answers of all but the active version to a decided attempt, as plain data."""
         if attempt.outcome == "blocked":
             self._came_out(inserted=False)
         decision, made = attempt.decision, (0.0, 0.0)
@@ -56,7 +56,7 @@ class Beside:
         return answers
 
     def _evidence(self, name: str, attempt: Attempt) -> tuple[Evidence | None, dict[str, str]]:
-        """What a version makes of an attempt, or why it refuses."""
+        """A version's evidence from an attempt, or why it refuses."""
         if name == self.active:
             acted = isinstance(attempt.decision, Correction) and attempt.result is not None
             return (attempt.result.evidence if acted and attempt.result else None), {}
@@ -70,7 +70,7 @@ class Beside:
         return evidence, {}
 
     def _follow(self, name: str, attempt: Attempt, evidence: Evidence | None, made: Move) -> Command | None:
-        """What a version would command; its belief goes on with the move that was ``made`` instead."""
+        """A version's command; its belief is updated with the move that was ``made`` instead."""
         arm = attempt.arm
         if (belief := self._beliefs.get(name)) is None:
             expected = self.networks[name].card.expectations

@@ -1,10 +1,10 @@
-"""Which of two versions is better, by bets that are fair where it is not.
+"""Which of two versions is better, by bets that are fair if it is not.
 
-A bet is against a claim, "on the mean this gain is not above 0". It begins with 1, and each insertion stakes a share of
-it. Where the claim holds, whatever came before, the capital ever reaches 20 with a probability of at most 1/20 (Ville
-1939; Waudby-Smith and Ramdas 2024, *Estimating means of bounded random variables by betting*). So one may look after
-each insertion, for as long as one likes. Of several shares that could be staked each gets a part, and a part of all
-waits for each later insertion: what was right for a thousand may still turn.
+A bet is against a claim, "on average this gain is not above 0". Its capital begins at 1, and each insertion stakes a
+share of it. If the claim is true, whatever came before, the capital ever reaches 20 with a probability of at most 1/20
+(Ville 1939; Waudby-Smith and Ramdas 2024, *Estimating means of bounded random variables by betting*). One may therefore
+look after each insertion, for as long as one likes. The capital is split over several possible shares, and a part is
+reserved for each later insertion, because the result of a thousand may still change.
 """
 
 import math
@@ -16,13 +16,13 @@ from service.contract.frames import Contract
 from service.contract.wire import MAX_ATTEMPTS
 from service.decision.evidence import Evidence
 
-ENOUGH = 20.0  # the capital from which on a claim counts as refuted
+ENOUGH = 20.0  # the capital at which a claim counts as refuted
 STAKES = (0.1, 0.3, 0.6, 0.9)
-LEAST_COVERAGE = 0.75  # of 90 % intervals, against what is known to within what fits the gap
-TOLERATED = 1.1  # times as many attempts as with the version before
-KNOWN_N, UNKNOWN = 50, 5.0  # insertions from which on that is known, and attempts that are tolerated where it is not
-FAILED = MAX_ATTEMPTS + 1  # attempts that a failure counts as
-SUREST = 0.98  # that a version is taken to have been of how an attempt ends
+LEAST_COVERAGE = 0.75  # of 90 % intervals, with errors known to within the gap's clearance
+TOLERATED = 1.1  # ratio to the attempts with the version before
+KNOWN_N, UNKNOWN = 50, 5.0  # insertions after which that mean is known, and the attempts tolerated before
+FAILED = MAX_ATTEMPTS + 1  # number of attempts that a failure counts as
+SUREST = 0.98  # highest confidence attributed to a version about the end of an attempt
 WORST = -math.log(1.0 - SUREST)
 
 Role = Literal["shadow", "previous"]
@@ -30,14 +30,14 @@ Held = tuple[bool | None, bool | None]
 
 
 class Bet(Contract):
-    """``capital`` at stake by share, apart from what waits; ``taken_n`` gains were bet on."""
+    """``capital`` at stake by share, without the reserve; ``taken_n`` gains were bet on."""
 
     taken_n: int = 0
     capital: tuple[float, ...] = (0.0,) * len(STAKES)
 
     @property
     def worth(self) -> float:
-        """All that it has, 1 at the start."""
+        """Total capital, 1 at the start."""
         return math.fsum(self.capital) / len(STAKES) + 1.0 / (self.taken_n + 1)
 
     def on(self, gain: float) -> "Bet":
@@ -48,15 +48,15 @@ class Bet(Contract):
         return Bet(taken_n=self.taken_n + 1, capital=capital)
 
     def that(self, happened: bool | None, rate: float) -> "Bet":
-        """After something that was to happen more often than ``rate`` did or did not; None: nobody knows."""
+        """After an event claimed to be more frequent than ``rate`` has happened or not; None: unknown."""
         return self if happened is None else self.on((happened - rate) / rate)
 
 
 class Contest(Contract):
-    """What speaks for a version beside the active one, after ``scored_n`` attempts that both had foretold.
+    """Evidence for a version beside the active one, after ``scored_n`` attempts that both had predicted.
 
-    ``score``: it foretells better which attempts go in. ``covers``: its intervals hold enough, of x and of yaw.
-    ``misses``: those of the active one do not. ``slow``: that one takes more attempts than ``tolerated``.
+    ``score``: it predicts better which attempts insert. ``covers``: its intervals hold enough, of x and of yaw.
+    ``misses``: those of the active one do not. ``slow``: the active one takes more attempts than ``tolerated``.
     """
 
     scored_n: int = 0
@@ -69,9 +69,9 @@ class Contest(Contract):
     slow: Bet = Bet()
 
     def worth(self, role: Role) -> float:
-        """What speaks for deciding with it: of a shadow the weakest of all that has to be shown, else the mean.
+        """Evidence for deciding with it: for a shadow the weakest of all requirements, else the mean.
 
-        The version before decides again where any of what may be wrong with the active one is.
+        The previous version decides again if any fault of the active one is shown.
         """
         if role == "shadow":
             return min(bet.worth for bet in (self.score, *self.covers))
@@ -93,17 +93,17 @@ class Contest(Contract):
 
     @property
     def tolerates(self) -> float:
-        """The mean of attempts to tolerate of a version that takes over."""
+        """The mean number of attempts to tolerate of a version that takes over."""
         return TOLERATED * self.attempts_n / self.ended_n if self.ended_n >= KNOWN_N else UNKNOWN
 
     def ended(self, attempts: int) -> Self:
-        """An insertion ended after so many attempts, `FAILED` where it failed for a reason that decisions may have."""
+        """An insertion ended after so many attempts, `FAILED` if it failed for a reason that decisions may cause."""
         counted = {"ended_n": self.ended_n + 1, "attempts_n": self.attempts_n + attempts}
         slow = self.slow.on((attempts - self.tolerated) / self.tolerated)
         return self.model_copy(update=counted | {"slow": slow})
 
     def scored(self, better: float) -> Self:
-        """An attempt has come out: ``better`` is the difference of the scores of what was foretold."""
+        """Add an attempt's outcome: ``better`` is the difference of the predictions' scores."""
         return self.model_copy(update={"scored_n": self.scored_n + 1, "score": self.score.on(better / WORST)})
 
     def held(self, held: Held, active_held: Held) -> Self:
@@ -115,13 +115,13 @@ class Contest(Contract):
 
 
 def log_score(chance: float, *, inserted: bool) -> float:
-    """Of a ``chance`` that an attempt goes in, once it has come out: from -WORST to about 0."""
+    """Score of a ``chance`` that an attempt inserts, once its outcome is known: from -WORST to about 0."""
     chance = min(SUREST, max(1.0 - SUREST, chance))
     return math.log(chance if inserted else 1.0 - chance)
 
 
 def intervals_hold(evidence: Evidence | None, error: tuple[float, float]) -> Held:
-    """Whether the 90 % intervals of x and of yaw hold the error, None where there are none."""
+    """Whether the 90 % intervals of x and of yaw hold the error, None without intervals."""
     if evidence is None or evidence.sigma is None:
         return None, None
     estimate = evidence.estimate()

@@ -1,7 +1,7 @@
-"""Versions on disk: a folder each, named by what it holds, and one file that says which of them does what.
+"""Versions on disk: one folder each, named by its contents, and one file that assigns their roles.
 
-``STATE/versions/<version>/*.onnx`` and ``STATE/versions/wiring.json``. Every change is one rename of a file that is on
-the disk already, so that a kill or a power cut leaves the wiring before or the one after.
+``STATE/versions/<version>/*.onnx`` and ``STATE/versions/wiring.json``. Every change is one rename of a file already on
+the disk, so that a kill or a power cut leaves either the old or the new wiring.
 """
 
 import contextlib
@@ -23,9 +23,9 @@ WIRING, LOCK = "wiring.json", "lock"
 
 
 class Wiring(Contract):
-    """Which version decides, which run beside it, and what speaks for those.
+    """Which version decides, which run beside it, and the evidence for those.
 
-    ``released``: the version of the service's models folder that all this goes back to. ``rejected``: why, by version.
+    ``released``: the version in the service's models folder, the origin of all others. ``rejected``: why, by version.
     """
 
     schema_version: Literal[1] = 1
@@ -37,7 +37,7 @@ class Wiring(Contract):
     sha256: str = ""
 
     def contest(self, role: Role) -> Contest:
-        """What speaks for the version in a role; nothing yet where there is none."""
+        """The evidence for the version in a role; empty without one."""
         return self.contests.get(role, Contest())
 
     def with_one(self, role: Role, version: str, contest: Contest) -> Self:
@@ -52,12 +52,12 @@ class Wiring(Contract):
         return self.model_copy(update={"beside": beside, "contests": contests})
 
     def digest(self) -> str:
-        """SHA-256 of all but itself."""
+        """SHA-256 of all fields but itself."""
         return hashlib.sha256(self.model_dump_json(exclude={"sha256"}).encode()).hexdigest()
 
 
 def version_of(models: ModelSet) -> str:
-    """The name of a version: of the SHA-256 of all its files."""
+    """The name of a version, from the SHA-256 of all its files."""
     return _name(model.sha256 for model in models.models)
 
 
@@ -66,14 +66,14 @@ def _name(hashes: Iterable[str]) -> str:
 
 
 class Store:
-    """The versions of one service. Raises ContractError where another service keeps its own there, OSError as usual."""
+    """The versions of one service. Raises ContractError if another service keeps its own there, OSError as usual."""
 
     def __init__(self, home: Path) -> None:
         self.home = home
         self._lock: IO[str] | None = None
 
     def open(self) -> Wiring | None:
-        """The wiring, None where there is none: nothing was ever given. Raises ContractError if it was edited."""
+        """The wiring, None if there is none yet. Raises ContractError if it was edited."""
         path = self.home / WIRING
         if not path.exists():
             return None
@@ -94,20 +94,20 @@ class Store:
             self._lock = None
 
     def load(self, version: str) -> ModelSet:
-        """A version that was kept; raises ContractError if it cannot serve or is not what was kept."""
+        """A stored version; raises ContractError if it cannot serve or has changed."""
         models = load_models(self.home / version)
         if version_of(models) != version:
             raise ContractError(f"{self.home / version} does not hold version {version} any more")
         return models
 
     def keep(self, models: ModelSet) -> str:
-        """Copy a version; returns its name. Raises OSError where there is no room, ContractError if it has changed."""
+        """Copy a version; returns its name. Raises OSError if there is no room, ContractError if it has changed."""
         version = version_of(models)
         self._own()
         if self._holds(version):
             return version
         fresh = self.home / f".{version}"
-        for left in (fresh, self.home / version):  # a kill may have come while it was written, or removed
+        for left in (fresh, self.home / version):  # a kill may have interrupted its writing or removal
             shutil.rmtree(left, ignore_errors=True)
         fresh.mkdir()
         for model in models.models:
@@ -125,7 +125,7 @@ class Store:
         return _name(hashlib.sha256(content).hexdigest() for content in files) == version
 
     def wire(self, wiring: Wiring) -> None:
-        """Make it so, also after a power cut; what nothing refers to any more is removed."""
+        """Store a wiring, safe against a power cut; versions without a reference are removed."""
         self._own()
         text = wiring.model_copy(update={"sha256": wiring.digest()}).model_dump_json(indent=1)
         fresh = self.home / f".{WIRING}"
@@ -138,7 +138,7 @@ class Store:
                 shutil.rmtree(path, ignore_errors=True)
 
     def forget(self) -> None:
-        """Nothing was ever given."""
+        """Remove all versions."""
         with contextlib.suppress(FileNotFoundError):
             (self.home / WIRING).unlink()
             _sync(self.home)
@@ -166,7 +166,7 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def _sync(folder: Path) -> None:
-    """What was renamed in a folder is on the disk."""
+    """Flush the renames in a folder to the disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -13,7 +13,7 @@ from service.versions.contest import ENOUGH, FAILED, Contest, Role
 from service.versions.store import Store, Wiring, version_of
 
 BLAMED: frozenset[Cause] = frozenset({"attempts", "no_decision", "not_confirmed"})
-"""Why an insertion may have ended because of what was decided."""
+"""Causes of an end that decisions may be responsible for."""
 Publish = Callable[[str, Any], None]
 
 
@@ -57,7 +57,7 @@ class _Now(NamedTuple):
         return self.networks[self.wiring.active]
 
     def rival(self, role: Role) -> Rival | None:
-        """Who plays a part beside it."""
+        """The version in a role beside the active one."""
         if (version := self.wiring.beside.get(role)) is None:
             return None
         contest, name = self.wiring.contest(role), self.networks[version].card.name
@@ -66,10 +66,10 @@ class _Now(NamedTuple):
 
 
 class Versions:
-    """Networks by the part they play. Thread safe; nothing is written before a shadow is given.
+    """Networks by role. Thread safe; nothing is written before a shadow is given.
 
-    ``publish`` hears of each change as an event "version". ``problem`` says what could not be done at the start. Raises
-    ContractError where the active version cannot be loaded as it was kept; one beside it is left out.
+    ``publish`` receives each change as an event "version". ``problem`` states what failed at the start. Raises
+    ContractError if the active version cannot be loaded unchanged; a failing version beside it is left out.
     """
 
     def __init__(self, home: Path, released: ModelSet, publish: Publish) -> None:
@@ -100,7 +100,7 @@ class Versions:
 
     @property
     def active(self) -> ModelSet:
-        """What decides the next insertion that begins."""
+        """The networks that decide the next insertion."""
         return self._now.active
 
     def beside(self, deciding: ModelSet, limits: Limits, controller: ControllerName) -> Beside | None:
@@ -111,20 +111,21 @@ class Versions:
         return Beside(wiring.active, networks, limits, controller)
 
     def state(self) -> State:
-        """The active version and those beside it with what speaks for them."""
+        """The active version and those beside it with their evidence."""
         now = self._now
         active = Version(version=now.wiring.active, name=now.active.card.name)
         shadow, previous = now.rival("shadow"), now.rival("previous")
         rejected, problem = now.wiring.rejected, self.problem
         return State(active=active, shadow=shadow, previous=previous, rejected=rejected, problem=problem)
 
-    # ---- what a person does ------------------------------------------------------------------------------------------
+    # ---- manual changes ----------------------------------------------------------------------------------------------
 
     def give(self, folder: Path, *, at_start: bool = False) -> None:
-        """Let a folder's networks run in shadow, in place of those that did.
+        """Let a folder's networks run in shadow, replacing the present shadow.
 
-        Raises ContractError where they cannot serve, cannot be compared, decide already, or were rejected. A setting
-        says the same ``at_start`` each time: what plays a part is left as it is, what was rejected is a `problem`.
+        Raises ContractError if they cannot serve, cannot be compared, already decide, or were rejected. A setting
+        repeats the same request ``at_start`` each time: a version that has a role keeps it, a rejected one is a
+        `problem`.
         """
         models = load_models(folder)
         with self._lock:
@@ -144,31 +145,31 @@ class Versions:
             self._change("shadow", version, f"given as {folder}", wiring.with_one("shadow", version, Contest()), kept)
 
     def drop(self) -> None:
-        """Take the shadow away; raises ContractError where there is none."""
+        """Remove the shadow; raises ContractError if there is none."""
         with self._lock:
             version = self._needed("shadow", "no version runs in shadow")
             self._change("dropped", version, "taken away by hand", self._now.wiring.without("shadow"))
 
     def promote(self) -> None:
-        """The shadow decides from the next insertion on, by hand; raises ContractError where there is none."""
+        """Let the shadow decide from the next insertion on; raises ContractError if there is none."""
         with self._lock:
             self._promote("by hand")
 
     def roll_back(self) -> None:
-        """The version before decides from the next insertion on, by hand; raises ContractError where there is none."""
+        """Let the previous version decide from the next insertion on; raises ContractError if there is none."""
         with self._lock:
             self._roll_back("by hand")
 
     def begin_anew(self, released: ModelSet) -> None:
-        """Another release decides; everything that was learnt of versions is forgotten."""
+        """Another release decides; all evidence about versions is discarded."""
         with self._lock:
             self._store.forget()
             self._now = _of_release(released)
 
-    # ---- what insertions teach ---------------------------------------------------------------------------------------
+    # ---- learning from insertions ------------------------------------------------------------------------------------
 
     def learn(self, answered: Beside, finished: Finished, *, fresh: bool) -> None:
-        """An insertion has ended, and may have shown that another version should decide.
+        """Add an ended insertion, which may show that another version should decide.
 
         ``fresh``: its first attempt was the object's first. Raises OSError where nothing can be written.
         """
@@ -191,7 +192,7 @@ class Versions:
             self._decide(wiring)
 
     def _decide(self, wiring: Wiring) -> None:
-        """Going back comes before going on."""
+        """Change places as the evidence says; a rollback takes precedence over a promotion."""
         changes: dict[Role, Callable[[str], None]] = {"previous": self._roll_back, "shadow": self._promote}
         for role, change in changes.items():
             contest = wiring.contest(role)
@@ -210,7 +211,7 @@ class Versions:
         wiring, version = self._now.wiring, self._needed("previous", "there is no version to go back to")
         rejected = wiring.rejected | {wiring.active: why}
         back = wiring.without("previous").model_copy(update={"active": version, "rejected": rejected})
-        if shadow := back.beside.get("shadow"):  # what it was compared with decides no more
+        if shadow := back.beside.get("shadow"):  # its opponent no longer decides
             back = back.with_one("shadow", shadow, Contest())
         self._change("rolled_back", wiring.active, why, back)
 
@@ -222,7 +223,7 @@ class Versions:
     def _change(
         self, what: str, version: str, why: str, wiring: Wiring, networks: dict[str, ModelSet] | None = None
     ) -> None:
-        """Wire on the disk first, then here: what is lost on the way was only to be done."""
+        """Store the wiring on disk first, then in memory: an interruption loses only a pending change."""
         self._store.wire(wiring)
         used = {wiring.active, wiring.released, *wiring.beside.values()}
         loaded = (networks or self._now.networks).items()

@@ -30,10 +30,12 @@ KNOWN: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
 one tier, or the finite elements of the foreign cell, which have neither relaxation nor compliant fingers."""
 PRESS_MM, FRAME_MM = 1.65, 0.15
 LAYER_SHARE = 0.08
-"""Of cells: a press of theirs costs several of the bristle tier's. Worlds that are judged on have half of each."""
+"""Share of cells in the layer tier, whose presses cost several times as much. Worlds for evaluation: half of each."""
 GRIDS = ((12, 12), (12, 12), (16, 16), (20, 21))
-"""Rows and columns of a pad's nodes, drawn alike: what a network learns must not be one grid's own pattern, and 12 x 12
-cost a third of 20 x 21. The layer tier has the first."""
+"""Rows and columns of a pad's nodes, drawn uniformly, so that a network does not learn one grid's pattern.
+
+12 x 12 costs a third of 20 x 21. The layer tier uses the first.
+"""
 SETTLE_MM = 1e-4
 """Coarser than for evaluation; a tenth of what a tracker resolves."""
 MOST_DRAWS = 1000

@@ -123,7 +123,7 @@ def _lower(
     late_mm: float,
     press_mm: float | None,
 ) -> tuple[int, Outcome]:
-    """Go down by pitch_mm a frame until something ends it; gives the frame that truly slips (-1: none) and the end."""
+    """Descend by pitch_mm per frame until something ends it; returns the slipping frame (-1: none) and the end."""
     start, limits = cell.pose.copy(), cell.scene.numerics
     slip, stop_depth = -1, math.inf
     depth = -pitch_mm * (1.0 - phase)

@@ -109,7 +109,7 @@ class Camera:
         return _sampled(padded, where, cv2.INTER_CUBIC)
 
     def _printed(self, rng: np.random.Generator) -> Floats:
-        """The albedo of the gel at rest, thrice [H, W, 3]: mottled paint, soft round dots of uneven size and place."""
+        """The albedo of the gel at rest, in three equal channels [H, W, 3]: mottled paint and soft, uneven dots."""
         height, width = self.sensor.height_px, self.sensor.width_px
         mottle = cv2.GaussianBlur(rng.normal(0.0, 1.0, (height, width)).astype(np.float32), (0, 0), MOTTLE_PX)
         paint = np.asarray(1.0 + MOTTLED * mottle / float(mottle.std()), np.float32)

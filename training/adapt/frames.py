@@ -30,9 +30,9 @@ class Gap(NamedTuple):
 
 
 def find_gap(stated: NDArray[np.float64], estimates: NDArray[np.float64]) -> Gap:
-    """The stated error [N, 2] where the release says 0: a line through its ``estimates`` [N, 2], pulled to 0 by USUAL.
+    """Stated error [N, 2] at which the release answers 0: a line through its ``estimates`` [N, 2], pulled to 0.
 
-    At 0 with the usual sigma on an axis that it does not feel, or with fewer than LEAST_N probes.
+    0 with the sigma of USUAL on an axis that the release does not sense, or with fewer than LEAST_N probes.
     """
     at, sigma = np.zeros(2), USUAL.copy()
     if len(stated) >= LEAST_N:

@@ -68,10 +68,10 @@ def folds_of(groups: NDArray[np.str_], seed: int) -> list[Rows]:
 
 
 def calibrated(scales: Scales, sample: Predictions | Densities) -> Scales:
-    """Scales that fit what was said of held-out samples, pulled to those of the release; by probes where there are any.
+    """Scales that fit the predictions of held-out samples, pulled to the release's; from probes if there are any.
 
-    Of work the error is known to within what fits the gap, and the moves that tell it are the network's own. It looks
-    better than it is, so nothing becomes surer by it.
+    The error of a working insertion is known only to within the gap's clearance, and from the network's own moves. Its
+    predictions look better than they are, so confidence is never raised from work.
     """
     known = sample.objects == PROBE
     if hindsight := not known.any():

@@ -69,7 +69,7 @@ def board(
 
 
 def depths(run: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs")) -> None:
-    """Write what a network that reads depth gains from pressing further, its coverage by reach, what it finds strange.
+    """Write the gain of a depth-reading network from pressing further, its coverage by reach, and its strangeness.
 
     Args:
         run: folder of the run, such as runs/pressing.

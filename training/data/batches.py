@@ -69,7 +69,7 @@ def decisions(trials: Trials, chosen: NDArray[np.int64], rng: np.random.Generato
 
 
 def blurred_geometry(geometry: NDArray[np.float32], rng: np.random.Generator | None) -> NDArray[np.float32]:
-    """Gap width and grasp height as the cell states them: in training a little wrong, at times without the grasp."""
+    """Gap width and grasp height as a cell states them: in training slightly wrong, at times without the height."""
     if rng is None:
         return geometry
     blurred = geometry + rng.normal(0, (GAP_BLUR_MM, HEIGHT_BLUR_MM), geometry.shape)

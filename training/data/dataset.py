@@ -22,7 +22,7 @@ from training.networks.settings import FRAMES_PER_DECISION
 SPLITS = ("train", "validation", "test")
 Reads = Literal["pictures", "markers"]
 _TABLE = 4  # format of the cached table
-_KEPT: dict[Reads, str] = {"pictures": "pooled-2", "markers": "tracked-1"}  # folders of what is kept of pictures
+_KEPT: dict[Reads, str] = {"pictures": "pooled-2", "markers": "tracked-1"}  # folders of inputs from pictures
 
 
 class Source(Protocol):

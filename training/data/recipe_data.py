@@ -79,7 +79,7 @@ def _convolved(
     trials: NDArray[np.int64],
     crop: NDArray[np.bool_],
 ) -> NDArray[np.float16]:
-    """Features [N, 8, 2, 9216], kept in the run's folder with the number of rows done, so that a kill costs one row."""
+    """Features [N, 8, 2, 9216], cached in the run's folder with the number of rows done; a kill costs one row."""
     path, counter = config.folder / "features.npy", config.folder / "features.done"
     shape = (len(trials), FRAMES_PER_DECISION, 2, FEATURES)
     done = _rows_done(counter) if path.exists() else 0

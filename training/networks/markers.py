@@ -15,7 +15,7 @@ TRACKING_PX = 0.08
 """Largest tracking error in training, RMS per axis: it is 0.04 px at the scenes' camera noise, 0.08 at three times."""
 LOST_SHARE = 0.03
 MISLED_SHARE = 0.01
-"""Markers located at their neighbour's place or half way there: one in a hundred where the gel moves steeply."""
+"""Share of markers located at their neighbour or half way there: one in a hundred where motion varies steeply."""
 VISIBLE = 0.5
 
 

@@ -1,7 +1,7 @@
-"""The network that reads depth: the gel's motion on a lattice in mm, a step of depth at a time, and the cell's numbers.
+"""The network that reads depth: the gel's motion on a lattice in mm, step by step, and the cell's numbers.
 
-Beside the motion it is shown the motion over its own size, which says where the object goes before it has gone far,
-and the motion over the grasp's shear reach where that is known. It decides after every step, and is trained to.
+Its inputs are the motion, the motion over its own size, which shows the object's direction after little motion, and the
+motion over the grasp's shear reach if known. It decides after every step, and is trained to.
 """
 
 import torch

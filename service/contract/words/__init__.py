@@ -1,1 +1,1 @@
-"""What the software calls things when it speaks to a person: the same words on the page and in the terminal."""
+"""The software's words for people: the same on the page and in the terminal."""

@@ -1,4 +1,4 @@
-"""Why an insertion ended, and what an operator does about it."""
+"""Why an insertion ended, and the operator's remedy."""
 
 from typing import NamedTuple
 
@@ -41,7 +41,7 @@ CAUSES: dict[Cause, Ending] = {
 
 
 def what_of(cause: str | None) -> str:
-    """A cause in words; one that this version does not know as it is."""
+    """A cause in words; one unknown to this version is returned unchanged."""
     if cause is None:
         return "no cause was recorded"
     known = CAUSES.get(cause)  # type: ignore[call-overload]

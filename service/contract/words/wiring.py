@@ -1,4 +1,4 @@
-"""How a cell may be wired wrong on its first day, by the signs that x and yaw then have."""
+"""Possible wiring mistakes of a cell on its first day, by the resulting signs of x and yaw."""
 
 WIRINGS = {
     (-1, 1): "corrections in x reach the arm reversed, or the fingers are swapped",

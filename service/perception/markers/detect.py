@@ -1,8 +1,8 @@
-"""Dark round markers found to a few hundredths of a pixel.
+"""Dark round markers, located to a few hundredths of a pixel.
 
 The response is a box mean over one lattice cell minus a Gaussian of the marker's size: a matched filter whose
-background always holds exactly one marker, so illumination, exposure and the neighbours drop out. The peak of the
-response is the maximum-likelihood position under white noise; a paraboloid over 3 x 3 pixels finds it.
+background always holds exactly one marker, so illumination, exposure and the neighbours cancel. The peak of the
+response is the maximum-likelihood position under white noise; a paraboloid over 3 x 3 pixels locates it.
 """
 
 from dataclasses import dataclass
@@ -31,8 +31,8 @@ SIGMA_PER_DIAMETER = 0.32  # flat optimum between 0.26 and 0.4 for a disk seen t
 class Candidates:
     """Marker-like spots, strongest first: ``xy_px`` float32 [n, 2] (u, v), ``strength`` float32 [n] in grey levels.
 
-    ``tightness`` float32 [n] is how sharply the response falls off along its flattest direction, as a share of its
-    height: small where a spot is smeared, torn long by the gel under it, or two markers run into one.
+    ``tightness`` float32 [n] is the response's fall-off along its flattest direction, as a share of its height: small
+    where a spot is smeared, stretched by the gel under it, or merged from two markers.
     """
 
     xy_px: FloatArray

@@ -1,4 +1,4 @@
-"""The marker field: what one finger's markers did, indexed by their grid, from an image or from the simulator."""
+"""The marker field: motion of one finger's markers, indexed by their grid, from an image or from the simulator."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -22,12 +22,11 @@ _OTHER_PITCH = 0.15  # a grid whose pitch is this much off is another sensor's, 
 class MarkerField:
     """Displacement of every marker of one finger at one instant, in pixels of the rectified image.
 
-    ``rest_px`` float32 [rows, cols, 2] (u right, v down) is where the marker was in the tracker's first frame,
-    ``displacement_px`` float32 [rows, cols, 2] how far it has moved since. Both are finite everywhere: where ``valid``
-    [rows, cols] is False the displacement is interpolated from the neighbours and is no evidence. ``contact``
-    [rows, cols] says which nodes touch the object, None where that is not known. ``status`` "no_grid" comes with
-    empty arrays, "ambiguous" comes from a jump that may be one of a whole pitch. ``captured_ns`` is the frame's
-    monotonic stamp.
+    ``rest_px`` float32 [rows, cols, 2] (u right, v down) is the marker's place in the tracker's first frame,
+    ``displacement_px`` float32 [rows, cols, 2] its motion since. Both are finite everywhere: where ``valid`` [rows,
+    cols] is False the displacement is interpolated from the neighbours and is no evidence. ``contact`` [rows, cols]
+    marks the nodes that touch the object, None if unknown. ``status`` "no_grid" comes with empty arrays, "ambiguous"
+    follows a jump that may be one of a whole pitch. ``captured_ns`` is the frame's monotonic stamp.
     """
 
     rest_px: FloatArray
@@ -48,9 +47,9 @@ class MarkerField:
 def marker_array(field: MarkerField, lattice: MarkerSpec) -> FloatArray:
     """Float32 [rows, columns, 3] on a sensor's lattice: (du_px, dv_px, 1) of each marker, zeros where it is not valid.
 
-    A tracker that found fewer rows or columns, at dark edges say, fills its part: the grid is laid where most of its
-    nodes rest, since a firm grasp bulges the gel by more than half a pitch before the tracker first sees it. What
-    networks read. Raises ValueError if the grid is none, of another pitch, or lies elsewhere.
+    This is the networks' input. A tracker that found fewer rows or columns, for example at dark edges, fills its part:
+    the grid is placed where most of its nodes rest, since a firm grasp bulges the gel by more than half a pitch before
+    the tracker first sees it. Raises ValueError on a grid that is empty, of another pitch, or elsewhere.
     """
     rows, columns = field.valid.shape
     if not rows or abs(field.pitch_px / lattice.pitch_px - 1) > _OTHER_PITCH:
@@ -72,9 +71,9 @@ def marker_array(field: MarkerField, lattice: MarkerSpec) -> FloatArray:
 
 
 def _laid(away: float, room: int) -> int:
-    """By how many whole steps a grid that rests ``away`` pitches off its lattice, with ``room`` to move, is laid off.
+    """Whole steps by which to shift a grid that rests ``away`` pitches off its lattice, with ``room`` to move.
 
-    A grid that fits must lie inside, also where its object had been carried by a pitch when the tracker began.
+    A grid that fits must lie inside, even if its object had carried it by a pitch when the tracker began.
     """
     near = round(away)
     inside = min(max(near, 0), room)
@@ -110,7 +109,7 @@ def field_from_gel(
 
 
 def median(values: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    """Median of finite values [n, ...] along the first axis: what numpy's says, at a quarter of its cost."""
+    """Median of finite values [n, ...] along the first axis: equal to numpy's, at a quarter of its cost."""
     half = len(values) // 2
     if len(values) % 2:
         return np.asarray(np.partition(values, half, axis=0)[half])

@@ -1,7 +1,7 @@
-"""What tells one gel from another of its kind: how far each printed marker lies off the regular grid.
+"""Identity of a gel among others of its kind: the offset of each printed marker from the regular grid.
 
-A fingerprint is the base64 text of int8 [rows, columns, 2] (du, dv) in two hundredths of a pitch; -128 stands for a
-marker that was not seen. Its first two bytes are rows and columns.
+A fingerprint is the base64 text of int8 [rows, columns, 2] (du, dv) in two hundredths of a pitch; -128 stands for an
+invisible marker. Its first two bytes are rows and columns.
 """
 
 import base64
@@ -17,8 +17,8 @@ _UNIT = 0.005  # pitch
 _ABSENT = -128
 _LEAST_N = 24
 SAME_GEL, OTHER_GEL = 0.75, 0.5
-"""Likeness from which on two fingerprints are of one gel for certain, and below which of two of a kind."""
-TELLING_N = 150  # markers; of fewer, which are found is too chancy for a gel to be refused
+"""Likeness above which two fingerprints certainly belong to one gel, and below which to two of a kind."""
+TELLING_N = 150  # markers; with fewer, too much depends on which are found for a gel to be refused
 
 
 def fingerprint(off: NDArray[np.float64], visible: NDArray[np.bool_]) -> str:
@@ -29,7 +29,7 @@ def fingerprint(off: NDArray[np.float64], visible: NDArray[np.bool_]) -> str:
 
 
 def fingerprint_of(field: MarkerField) -> str:
-    """Of a resting gel in a rectified frame; empty where that shows no grid."""
+    """Fingerprint of a resting gel in a rectified frame; empty where it shows no grid."""
     if not field.valid.any():
         return ""
     cells = np.argwhere(field.valid)
@@ -40,12 +40,12 @@ def fingerprint_of(field: MarkerField) -> str:
 
 
 def gel_name(fingerprint: str) -> str:
-    """A short name of a gel, another one after each calibration."""
+    """A short name of a gel; it changes with each calibration."""
     return hashlib.sha256(fingerprint.encode()).hexdigest()[:12]
 
 
 def off_print(cells: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """How far points [n, 2] lie from the regular grid that fits them best, px; ``cells`` [n, 2]: row and column."""
+    """Distances of points [n, 2] from the best-fitting regular grid, px; ``cells`` [n, 2]: row and column."""
     terms = np.column_stack([cells, np.ones(len(cells))])
     fit, _, _, _ = np.linalg.lstsq(terms, points, rcond=None)
     return np.asarray(points - terms @ fit)
@@ -54,7 +54,7 @@ def off_print(cells: NDArray[np.float64], points: NDArray[np.float64]) -> NDArra
 def likeness(one: str, other: str) -> float | None:
     """Correlation (-1 .. 1) of two fingerprints, one gel if near 1; None if either is empty or their grids differ.
 
-    Raises ValueError if either is no fingerprint.
+    Raises ValueError if either is not a fingerprint.
     """
     if not (one and other):
         return None

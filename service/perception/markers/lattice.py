@@ -1,4 +1,4 @@
-"""Which spot is which marker: candidates linked to a grid by their topology, without knowing its size or pitch."""
+"""Assigns spots to markers: candidates linked to a grid by their topology, without knowing its size or pitch."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,8 +10,8 @@ from service.perception.markers.detect import Candidates, MarkerDetector
 from service.perception.markers.field import BoolArray, FloatArray
 
 _STEPS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (column, row)
-_LINK = 0.33  # a neighbour lies within this share of a pitch of where the last step points
-_AROUND = 12  # spots around one among which its neighbours in the grid are sought
+_LINK = 0.33  # a neighbour lies within this share of a pitch from the place predicted by the last step
+_AROUND = 12  # nearest spots among which a spot's neighbours in the grid are sought
 _LEAST_PX = 32
 DIAMETERS_PX = (4.0, 5.0, 6.5, 8.5, 11.0, 14.5, 19.0, 25.0)
 
@@ -20,7 +20,7 @@ DIAMETERS_PX = (4.0, 5.0, 6.5, 8.5, 11.0, 14.5, 19.0, 25.0)
 class Lattice:
     """A grid of markers: ``xy_px`` float32 [rows, cols, 2], finite everywhere, measured where ``detected``.
 
-    ``basis_px`` [2, 2]: mean step to the next column and to the next row. ``diameter_px`` of the detector that saw it.
+    ``basis_px`` [2, 2]: mean step to the next column and to the next row. ``diameter_px`` of the detector behind it.
     """
 
     xy_px: FloatArray
@@ -68,7 +68,7 @@ def flood(points: FloatArray, basis: FloatArray, seed: int) -> tuple[NDArray[np.
 
 
 def _unclaimed(points: NDArray[np.intp], cells: NDArray[np.intp], taken: set[tuple[int, ...]]) -> list[int]:
-    """Which claims of a point [n] to a cell [n, 2] come first; their cells are ``taken`` from then on."""
+    """Which claims of a point [n] to a cell [n, 2] come first; their cells are added to ``taken``."""
     chosen, placed = [], set()
     for k, (point, cell) in enumerate(zip(points.tolist(), map(tuple, cells.tolist()), strict=True)):
         if point not in placed and cell not in taken:
@@ -114,10 +114,10 @@ def lattice_basis(points: FloatArray, like: FloatArray | None = None) -> FloatAr
 
 
 def find_lattice(image: NDArray[np.uint8], diameters_px: tuple[float, ...] = DIAMETERS_PX) -> Lattice | None:
-    """The marker grid of a frame at the scale that explains it best, or None if there is none of at least 5 x 5.
+    """The marker grid of a frame at the best-fitting scale, or None if there is none of at least 5 x 5.
 
-    The grid's columns must run within 40 deg of the image's, which must be 32 px a side. About 40 ms; run once a
-    recording.
+    The grid's columns must run within 40 deg of the image's, which must be at least 32 px wide and high. Takes about 40
+    ms; run it once per recording.
     """
     best: Lattice | None = None
     for diameter in diameters_px if min(image.shape[:2]) >= _LEAST_PX else ():
@@ -179,7 +179,7 @@ def _crop(spots: Candidates, index: NDArray[np.intp], reached: BoolArray, diamet
     xy[cells[:, 1], cells[:, 0]] = spots.xy_px[reached]
     strength = np.zeros((rows, cols), np.float32)
     strength[cells[:, 1], cells[:, 0]] = spots.strength[reached]
-    # Stray spots beyond the gel grow thin extra rows; a row is one only if a third of it is there.
+    # Stray spots beyond the gel add sparse rows; a row counts only if a third of it is there.
     row_ok = _run(detected.mean(1) > 0.34)
     if not detected[row_ok].size:
         return None

@@ -1,9 +1,9 @@
-"""Whether a picture is new: the noise of a camera comes once, also where nothing in the picture moves.
+"""Whether a picture is new: camera noise never repeats, even where nothing in the picture moves.
 
-What hands out one picture again and again may put fresh noise on it; each copy then differs from the one before like
-any live frame. But the copies lie around the picture that they were made of: two of them are nearer to it than to each
-other, by a factor of two in squared distance whatever the strength of either noise. Of live frames at rest all are
-equally far from each other, and motion only takes an earlier frame further away.
+A faulty source may repeat one picture with fresh noise; each copy then differs from the one before like any live frame.
+But the copies scatter around their original: two of them are nearer to it than to each other, by a factor of two in
+squared distance whatever the strength of either noise. Live frames at rest are all equally far from each other, and
+motion only increases the distance to an earlier frame.
 """
 
 from dataclasses import replace
@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 from service.perception.markers.field import MarkerField
 
-NEARER = 1.15  # times in squared distance: live frames at rest show 0.95 to 1.05, copies 2, strongly compressed 1.25
+NEARER = 1.15  # squared distances: live frames at rest show 0.95 to 1.05, copies 2, strongly compressed 1.25
 
 Grain = NDArray[np.float32]
 
 
 class Liveness:
-    """Follows one finger's pictures, and tells copies from new ones.
+    """Follows one finger's pictures, and distinguishes copies from new ones.
 
-    A copy is found from the second one on, if the picture that they were made of was seen and had noise of its own. A
-    picture that stood still before looks live, but for one: that of the open hand, which a grasp changes. Where a light
-    grip has moved no marker, it must at least have changed the grain.
+    A copy is detected from the second one on, if the original was seen and had noise of its own. A picture that stood
+    still before looks live, except that of the open hand, which a grasp changes. A light grip that has moved no marker
+    must at least have changed the grain.
     """
 
     def __init__(self) -> None:
@@ -36,7 +36,7 @@ class Liveness:
         self._changed = True
 
     def learn_open(self, image: NDArray[np.uint8]) -> None:
-        """Take the rectified frame uint8 [H, W, 3] for one of the open hand."""
+        """Take the rectified frame uint8 [H, W, 3] as one of the open hand."""
         self._open = _grain(image)
 
     def rearm(self) -> None:
@@ -46,7 +46,7 @@ class Liveness:
     def checked(self, image: NDArray[np.uint8], field: MarkerField, *, touched: bool) -> MarkerField:
         """The field tracked in a rectified frame uint8 [H, W, 3]; a "duplicate" where the frame is a copy.
 
-        ``touched``: whether its markers are elsewhere than in the open gel.
+        ``touched``: whether its markers are displaced from the open gel.
         """
         if not field.usable:
             return field
@@ -56,7 +56,7 @@ class Liveness:
         return replace(field, status="duplicate", reason=reason) if reason else field
 
     def _repeated(self, grain: Grain) -> str:
-        """Why the picture is no new one, or nothing."""
+        """Why the picture is not new, or ""."""
         original = self._before if self._original is None else self._original
         copied = _nearer(original, self._last, grain, 1.0 / NEARER)
         self._original = original if copied else None
@@ -70,7 +70,7 @@ class Liveness:
 
 
 def _nearer(original: Grain | None, one: Grain | None, other: Grain, times: float) -> bool:
-    """Whether both pictures are nearer to the original than so many times as far as they are from each other."""
+    """Whether both pictures are nearer to the original than this factor times their mutual distance."""
     if original is None or one is None:
         return False
     away = max(cv2.norm(original, one, cv2.NORM_L2SQR), cv2.norm(original, other, cv2.NORM_L2SQR))
@@ -78,7 +78,7 @@ def _nearer(original: Grain | None, one: Grain | None, other: Grain, times: floa
 
 
 def _grain(image: NDArray[np.uint8]) -> Grain:
-    """What is finer than a few pixels in the middle of the picture's green channel: light that flickers is coarser."""
+    """Detail finer than a few pixels in the middle of the picture's green channel: flickering light is coarser."""
     height, width = image.shape[:2]
     middle = image[height // 4 : -(height // 4), width // 4 : -(width // 4), 1].astype(np.float32)
     return np.asarray(middle - cv2.blur(middle, (3, 3)), np.float32)

@@ -1,7 +1,7 @@
-"""Markers matched from frame to frame: nearest spot near the prediction, checked against the grid around it.
+"""Matches markers from frame to frame: nearest spot near the prediction, checked against the grid around it.
 
-A regular grid that jumps by nearly a pitch looks like one that moved a little the other way. What separates the two
-is the grid's border, its gaps and the small irregularities of its nodes; :func:`misfit` weighs all three.
+A regular grid that jumps by nearly a pitch looks like one that moved a little in the opposite direction. The grid's
+border, its gaps and the small irregularities of its nodes distinguish the two; :func:`misfit` weighs all three.
 """
 
 from dataclasses import dataclass
@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from service.perception.markers.field import BoolArray, FloatArray, neighbour_mean, neighbour_median
 from service.perception.markers.lattice import fill_gaps, flood, lattice_basis
 
-_SEARCH = 0.46  # pitch; the spot that belongs to a node lies within this of its prediction
-_TEAR = 0.5  # pitch; a node that moved this much otherwise than its neighbours is a wrong match
-_FINGERPRINT = 0.03  # pitch; scatter of a right match about its neighbours
-_FLAT = 1e-9  # of the spread squared; nodes spread less the other way lie on one line
+_SEARCH = 0.46  # pitch; a node's spot lies within this of its prediction
+_TEAR = 0.5  # pitch; a node that deviates this much from its neighbours is a wrong match
+_FINGERPRINT = 0.03  # pitch; scatter of a correct match about its neighbours
+_FLAT = 1e-9  # of the spread squared; nodes with a smaller spread across lie on one line
 _CAP = 25.0  # cost of a node without a spot, or of one five sigma off
 _BEYOND = 1e6  # px
 _WINDOW = np.ones((3, 3), np.uint8)
-_LEAST_N = 9  # spots that a placement needs
-_BETTER = 0.05  # misfit by which one placement has to be better than another
+_LEAST_N = 9  # spots required for a placement
+_BETTER = 0.05  # least difference of misfit between two placements that counts
 _STRAY = 0.5 * _CAP  # of a spot without a node
 _STEPS = np.array(
     sorted(((col, row) for row in range(-3, 4) for col in range(-3, 4)), key=lambda step: np.hypot(*step))
@@ -43,7 +43,7 @@ class Match:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """The image's extent and the margin within which a spot cannot be seen whole."""
+    """The image's extent and the margin within which a spot is not completely visible."""
 
     width_px: int
     height_px: int
@@ -55,7 +55,7 @@ class View:
         return inside
 
     def room_px(self, xy: FloatArray) -> FloatArray:
-        """How far ``xy`` [..., 2] lies inside the image's border, negative outside."""
+        """Distance of ``xy`` [..., 2] inside the image's border, negative outside."""
         far = np.array([self.width_px - 1, self.height_px - 1], np.float32)
         room = np.minimum(xy, far - xy)
         return np.asarray(np.minimum(room[..., 0], room[..., 1]))
@@ -107,7 +107,7 @@ def score_match(
     if len(points) == 0:
         return Match(previous, valid, _CAP, 0, spot)
     xy = np.where(valid[..., None], points[spot], previous)
-    displacement = xy - _affine(rest, xy, valid)  # of a twisted grid, neighbours move very differently
+    displacement = xy - _affine(rest, xy, valid)  # in a twisted grid, neighbours move very differently
     torn = _torn(displacement, valid, _TEAR * pitch)
     valid = valid & ~torn
     step = xy - previous
@@ -126,7 +126,7 @@ def _torn(displacement: FloatArray, valid: BoolArray, limit: float) -> BoolArray
     """Which valid nodes [rows, cols] moved further than ``limit`` from the median of their neighbours."""
     moved = displacement[valid]
     if not len(moved) or np.hypot(*np.ptp(moved, axis=0)) <= limit:
-        return np.zeros_like(valid)  # a median lies between the extremes, here of all and below of those around
+        return np.zeros_like(valid)  # a median lies between the extremes
     most, least = (np.where(valid[..., None], displacement, np.float32(end)) for end in (-_BEYOND, _BEYOND))
     reach = np.maximum(cv2.dilate(most, _WINDOW) - displacement, displacement - cv2.erode(least, _WINDOW))
     if not (valid & (_squared(reach) > limit**2)).any():
@@ -141,7 +141,7 @@ def _squared(off: FloatArray) -> FloatArray:
 
 
 def _affine(rest: FloatArray, xy: FloatArray, valid: BoolArray) -> FloatArray:
-    """``rest`` carried along by the affine map that fits the valid nodes best; ``rest`` itself if there are few."""
+    """``rest`` moved by the affine map that best fits the valid nodes; ``rest`` itself if there are few."""
     known = rest[valid]
     if len(known) < 12:
         return rest
@@ -160,11 +160,11 @@ def _affine(rest: FloatArray, xy: FloatArray, valid: BoolArray) -> FloatArray:
 def reindex(
     points: FloatArray, rest: FloatArray, pitch: float, view: View, previous: FloatArray, prior: Match, calm: float
 ) -> Match:
-    """Match by topology alone: link the spots to a grid, then find by which whole steps it lies over the old one.
+    """Match by topology alone: link the spots to a grid, then find its shift in whole steps from the old one.
 
     Survives jumps of up to three pitches, fast twists and bumps whose middle moved by nearly a pitch. Returns the best
     of this and ``prior``. ``previous`` [rows, cols, 2] decides between placements that fit equally: the least motion
-    wins. A misfit below ``calm`` is that of a right match: one step off leaves a border row without spots.
+    wins. A misfit below ``calm`` is that of a correct match: one step off leaves a border row without spots.
     """
     like = np.stack([np.diff(previous, axis=1).mean((0, 1)), np.diff(previous, axis=0).mean((0, 1))])
     basis = lattice_basis(points, like)
@@ -178,8 +178,8 @@ def reindex(
     def place(spot: NDArray[np.intp]) -> Match:
         return score_match(spot, rest, points, pitch, view, previous)
 
-    # The grid cell of the seed under least motion; placements up to two steps off are the rivals. Where none of them
-    # fits a grid that is there almost whole, it has jumped by three.
+    # The grid cell of the seed under least motion; placements up to two steps off compete with it. Where none of them
+    # fits a grid that is almost complete, it has jumped by three.
     apart = np.square(previous.reshape(-1, 2) - points[seed]).sum(-1)
     row0, col0 = divmod(int(apart.argmin()), rest.shape[1])
     cells = index[reached] + np.array([col0, row0])
@@ -187,7 +187,7 @@ def reindex(
     best, best_score = prior, prior.misfit + _motion(prior, previous, pitch)
     for steps in (_NEAR, _FAR):
         for step, fit_n in zip(steps, _fit_n(cells, steps, rest.shape[:2]), strict=True):
-            least = _STRAY * (len(points) - fit_n) / rest[..., 0].size  # misfit if all else were perfect
+            least = _STRAY * (len(points) - fit_n) / rest[..., 0].size  # misfit if everything else were perfect
             if fit_n < _LEAST_N or least >= best_score - _BETTER:
                 continue
             rival = place(_placed(cells + step, spot_of, rest.shape[:2]))
@@ -198,7 +198,7 @@ def reindex(
             break
     if best is prior:
         return prior
-    # The flood stops at gaps; what lies beyond is found where a smooth surface through the rest puts it.
+    # The flood stops at gaps; spots beyond are found by extrapolating a smooth surface through the rest.
     spread, _ = fill_gaps(best.xy_px, best.valid)
     full = match(spread, rest, points, pitch, view, previous)
     return full if full.valid.sum() > best.valid.sum() else best
@@ -220,6 +220,6 @@ def _placed(cells: NDArray[np.intp], spot_of: NDArray[np.intp], shape: tuple[int
 
 
 def _motion(candidate: Match, previous: FloatArray, pitch: float) -> float:
-    """A weak preference for little motion: half a point a pitch, of the 25 that a missing marker costs."""
+    """A weak preference for little motion: half a point per pitch, of the 25 that a missing marker costs."""
     moved = np.linalg.norm(candidate.xy_px - previous, axis=-1)
     return float(0.5 * moved[candidate.valid].mean() / pitch) if candidate.valid.any() else _CAP

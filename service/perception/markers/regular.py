@@ -1,6 +1,6 @@
-"""How regular a grid of markers looks.
+"""Regularity of a grid of markers.
 
-Markers are printed in a regular grid, which a lens bends as a whole. Whatever presses the gel disturbs it, however
+Markers are printed in a regular grid, which a lens distorts as a whole. Any pressure on the gel disturbs it, however
 smooth the object and however faint its imprint.
 """
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from service.perception.markers.field import MarkerField
 
-_KEPT = 0.95  # of the markers: the worst few may be worn or mistaken
-_FEWEST_N = 20  # markers; twice what the bent print has to choose
+_KEPT = 0.95  # share of the markers: the worst few may be worn or mistaken
+_FEWEST_N = 20  # markers; twice the parameters of the distorted print
 
 
 def irregular_pitch(field: MarkerField) -> float:
-    """How far the markers are from a regular print seen by a lens, RMS in pitches; infinite where too few are seen."""
+    """Deviation of the markers from a regular print seen through a lens, RMS in pitches; infinite with too few."""
     may = field.valid
     if not field.usable or may.sum() < _FEWEST_N:
         return np.inf

@@ -1,4 +1,4 @@
-"""Recorded frame pairs as marker fields: what a network that reads markers is shown of a stored decision."""
+"""Recorded frame pairs as marker fields: the input of a network that reads markers for a stored decision."""
 
 import numpy as np
 from numpy.typing import NDArray

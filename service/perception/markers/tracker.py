@@ -12,27 +12,27 @@ from service.perception.markers.lattice import Lattice, find_lattice
 from service.perception.markers.matching import Match, View, match, reindex
 
 _AROUND = [np.array([col, row], np.float32) for col in (-1, 0, 1) for row in (-1, 0, 1) if col or row]
-_JUMP = 0.35  # pitch between two frames from which on the true way could be a whole one less, backwards
+_JUMP = 0.35  # pitch between two frames from which the true motion could be a whole pitch less, backwards
 _AS_WELL = 15.0  # misfit of a row or column of nodes; one without spots, at the border, costs more than twice that
-_LEAP = 0.5  # pitch between two frames, which needs a match as good as usual
-_DOUBTFUL = 5.0  # misfit a node above the running level
+_LEAP = 0.5  # pitch between two frames, beyond which the match must be as good as usual
+_DOUBTFUL = 5.0  # misfit per node above the running level
 _SAME_GREY = (
     0.005  # mean distance below which a frame repeats the one before; of still real gels few come nearer than 0.02
 )
-_CALM = 1.2  # misfit a node above the running level at which the grid is matched again by topology
+_CALM = 1.2  # misfit per node above the running level at which the grid is matched again by topology
 _WHOLE = 0.8  # diameter; a marker nearer to the image's border than this is cut
-_NEARER = 0.1  # diameter; and was carried there if it rests further inside by more than this
-_SPARE = 1 / 3  # of the shortest row; markers missing or too many in a placement that is right
-_ROUND = 0.6  # of the typical tightness; a marker smeared or torn longer than this has no place
-_SETTLED = 0.6  # and above that level from which on a placement is looked for further away
+_NEARER = 0.1  # diameter; and was carried there if its rest place is further inside by more than this
+_SPARE = 1 / 3  # share of the shortest row; missing or surplus markers in a correct placement
+_ROUND = 0.6  # share of the typical tightness; a marker smeared or stretched beyond this has no position
+_SETTLED = 0.6  # above that level, placements further away are tried
 
 
 @dataclass(frozen=True, slots=True)
 class TrackerSettings:
-    """What the tracker asks of a frame.
+    """The tracker's requirements of a frame.
 
     ``threshold`` is the weakest spot, as a share of the typical marker's strength; below ``lost_share`` of the markers
-    in sight the grid is lost, below ``partial_share`` the field says so.
+    in sight the grid is lost, below ``partial_share`` the field is marked as partial.
     """
 
     threshold: float = 0.3
@@ -43,8 +43,8 @@ class TrackerSettings:
 class MarkerTracker:
     """Follows the markers of one finger; finds the grid's size, pitch and place in the first frame that shows one.
 
-    No frame raises for what it shows: a black, white, covered or missing frame gives a field with status "lost" or
-    "no_grid", a repeated or late stamp "duplicate". A frame that is no uint8 image or changes size raises ValueError.
+    No frame content raises: a black, white, covered or missing frame gives a field with status "lost" or "no_grid", a
+    repeated or late stamp "duplicate". A frame that is no uint8 image or changes size raises ValueError.
     """
 
     def __init__(self, settings: TrackerSettings | None = None) -> None:
@@ -57,7 +57,7 @@ class MarkerTracker:
         self._detector: MarkerDetector | None = None
         self._shape: tuple[int, ...] | None = None
         self._xy = np.zeros((0, 0, 2), np.float32)
-        self._velocity = np.zeros((0, 0, 2), np.float32)  # px a second
+        self._velocity = np.zeros((0, 0, 2), np.float32)  # px per second
         self._strength = 0.0
         self._level = 1.0
         self._last_ns: int | None = None
@@ -131,7 +131,7 @@ class MarkerTracker:
         return field
 
     def _rival(self, best: Match, jump_px: float, points: FloatArray, view: View) -> Match | None:
-        """After a jump, a placement whole steps nearer to where the markers rest that explains the frame as well."""
+        """After a jump, a placement whole steps nearer to the markers' rest that explains the frame as well."""
         assert self._lattice is not None
         rest, pitch = self._lattice.xy_px, self._lattice.pitch_px
         if jump_px < _JUMP * pitch:
@@ -146,15 +146,15 @@ class MarkerTracker:
         return min(rivals, key=lambda place: place.misfit, default=None)
 
     def _leaps(self, best: Match, jump_px: float) -> bool:
-        """Whether the whole grid was carried far by a match that is not certain."""
+        """Whether an uncertain match carried the whole grid far."""
         assert self._lattice is not None
         return jump_px > _LEAP * self._lattice.pitch_px and best.misfit > self._level + _DOUBTFUL
 
     def _measured(self, best: Match, spots: Candidates, view: View) -> BoolArray:
         """Which markers [rows, cols] have a reliable position: followed, not carried to the image's border, and round.
 
-        One cut by the border seems to lie further inside than it does (one that always was has its place all the
-        same), one smeared long where the gel is torn apart lies anywhere within.
+        A marker cut by the border appears further inside than it is (one that was always cut is consistent), and one
+        smeared where the gel is torn may be anywhere along the smear.
         """
         assert self._lattice is not None
         rest, diameter = self._lattice.xy_px, self._lattice.diameter_px
@@ -165,7 +165,7 @@ class MarkerTracker:
         return np.asarray(best.valid & ~cut & (tight > _ROUND * typical), np.bool_)
 
     def _bright_enough(self, spots: Candidates) -> Candidates:
-        """Drop weak spots relative to this frame's own typical marker, so that an exposure jump changes nothing."""
+        """Drop spots that are weak relative to this frame's typical marker, so that exposure jumps change nothing."""
         assert self._lattice is not None
         if len(spots.strength) == 0:
             return spots
@@ -185,7 +185,7 @@ class MarkerTracker:
             moving = match(self._xy + self._velocity * np.float32(elapsed_s), rest, points, pitch, view, self._xy)
             best = min(best, moving, key=lambda rival: rival.misfit)
         if _whole(best, len(points)):
-            return best  # every marker in its place and no place too many: a step off would lose a border row
+            return best  # every marker in its place and few surplus: a step off would lose a border row
         return reindex(points, rest, pitch, view, self._xy, best, self._level + _SETTLED)
 
     def _remember(self, best: Match, spots: Candidates, captured_ns: int) -> None:
@@ -214,7 +214,7 @@ class MarkerTracker:
 
 
 def _whole(match: Match, spots_n: int) -> bool:
-    """Whether a placement misses and leaves over far less than the shortest row of the grid, torn nowhere.
+    """Whether a placement has far fewer missing and surplus markers than the shortest row of the grid, and no tear.
 
     Looking for another takes 50 to 100 ms, which an arm in contact cannot wait for.
     """

@@ -1,12 +1,12 @@
 """Incipient slip of one finger: which of the sticking nodes stop following the object.
 
-After Dong, Ma, Donlon, Rodriguez (2019): a rigid motion is fitted to the markers that stick, and slip is the deviation
-of markers in the contact from it. Unlike there, rotation is exact, a uniform scale may be fitted (pressing spreads
-markers), the contact need not be known beforehand, and a fit that cannot be made is "unknown".
+After Dong, Ma, Donlon, Rodriguez (2019): a rigid motion is fitted to the sticking markers, and slip is the deviation of
+markers in the contact from it. Unlike there, rotation is exact, a uniform scale may be fitted (pressing spreads
+markers), the contact need not be known beforehand, and an impossible fit is "unknown".
 
 Where the contact is not given, it is learned from the motion itself: a node belongs to it once it has followed the
-object for a while. A node outside lags from the start, by a constant share of the motion (the gel is elastic there);
-a node that slips follows first and then stops. The score measures that excess lag.
+object for a while. A node outside lags from the start, by a constant share of the motion (the gel is elastic there); a
+node that slips follows first and then stops. The score measures that excess lag.
 """
 
 from collections import deque
@@ -20,7 +20,7 @@ from service.perception.slip.state import FingerState, SlipSettings, SlipState
 __all__ = ["FingerState", "SlipDetector", "SlipSettings", "SlipState", "untouched"]
 
 
-_UNEVEN = 5.0  # how much more half of a shaken, soft patch deviates than its steadiest quarter, at most
+_UNEVEN = 5.0  # largest ratio of the deviations of half of a shaken, soft patch and of its steadiest quarter
 
 
 class SlipDetector:
@@ -38,7 +38,7 @@ class SlipDetector:
 
     @property
     def reference(self) -> MarkerField | None:
-        """The field that motion is measured from."""
+        """The field from which motion is measured."""
         return self._reference
 
     def rearm(self, field: MarkerField) -> SlipState:
@@ -51,7 +51,7 @@ class SlipDetector:
         self._slipped = np.zeros(shape, np.bool_)
         self._motion: Motion | None = None
         self._noise: deque[tuple[int, float]] = deque()  # capture stamp and how far the core deviates, px
-        self._way: list[tuple[int, float]] = []  # capture stamp and how far the patch was carried, px
+        self._way: list[tuple[int, float]] = []  # capture stamp and motion of the patch, px
         self._fastest = 0.0
         self._tracked_ns = field.captured_ns
         if untouched(field):
@@ -114,7 +114,7 @@ class SlipDetector:
                 self._motion = motion
                 return motion
         start = moving_patch(before, after, chosen, tolerance, pitch)
-        # Nodes that the moving patch leaves behind are outside the contact: they must not pull at the fit.
+        # Nodes that the moving patch leaves behind are outside the contact and must not affect the fit.
         carried = start.apply(x)
         moved = np.hypot(*(carried - x).T)
         follows = np.hypot(*(carried - y).T) < tolerance + self.settings.follow_share * moved
@@ -152,9 +152,9 @@ class SlipDetector:
         return self._state(field, motion, residual, slipping, score, known)
 
     def _unsteady(self, field: MarkerField, lag: Float64, moved: Float64, may: BoolArray) -> float:
-        """How far the sticking core deviates from what its motion and elastic shares explain, px, of late.
+        """Recent deviation of the sticking core from its motion and elastic shares, px.
 
-        The median; where half of the core lets go at once, at most a multiple of what the steadier quarter shows.
+        The median; if half of the core lets go at once, at most a multiple of the deviation of the steadier quarter.
         """
         core = may & self._stuck & ~self._slipped & (self._weight > 0)
         if core.sum() >= MIN_NODES:
@@ -214,7 +214,7 @@ class SlipDetector:
         )
 
     def _stalls(self, field: MarkerField, carried: float, pitch: float) -> bool:
-        """Whether the patch, carried along so far, has come to a stop."""
+        """Whether the patch, carried along so far, has stopped."""
         limits = self.settings
         self._way.append((field.captured_ns, carried))
         begin_ns = field.captured_ns - int(limits.stall_s * 1e9)
@@ -233,7 +233,7 @@ class SlipDetector:
 
 
 def untouched(field: MarkerField) -> bool:
-    """True where it is known that nothing touches the gel, by the simulator's pressure or by `open_gel.OpenGel`."""
+    """True if nothing is known to touch the gel, by the simulator's pressure or by `open_gel.OpenGel`."""
     return field.usable and field.contact is not None and not field.contact.any()
 
 

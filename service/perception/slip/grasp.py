@@ -1,9 +1,9 @@
-"""A finger watched without a robot: the reference is taken when the grasp has settled.
+"""Watches a finger without a robot: the reference is taken when the grasp has settled.
 
-In an insertion the robot client arms. In a clip grasping, holding, slipping and letting go follow each other, and it
-may begin in the middle. The watch arms once the markers have been at rest for a while, and again whenever they rest
-elsewhere: after the fingers closed, the object was lifted, slipped or was let go. So the reference is that of the
-grasp as it is now, never that of open fingers.
+In an insertion the robot client arms. In a clip, grasping, holding, slipping and releasing follow each other, and the
+clip may begin in the middle. The watch arms once the markers have been at rest for a while, and again whenever they
+rest elsewhere: after the fingers closed, or the object was lifted, slipped or was released. The reference is therefore
+always the present grasp's, never that of open fingers.
 """
 
 import math
@@ -16,23 +16,23 @@ from service.perception.slip.detector import SlipDetector, SlipSettings, SlipSta
 from service.perception.slip.open_gel import OpenGel
 from service.perception.slip.rigid import carried_px
 
-# At rest: nowhere carried further within that time.
+# At rest: no further motion within that time.
 _REST_PITCH = 0.04
 _SETTLE_S = 0.4
-# The least limit that raised no alarm while 11 real objects were held and shaken (3,048 finger frames), and a quarter
+# The lowest limit without an alarm while 11 real objects were held and shaken (3,048 finger frames), and a quarter
 # more; half of the recordings chose the same limit as the other half.
 WATCH_SLIP_PITCH = 0.0625
 
 
 def watch_settings(slip_pitch: float) -> SlipSettings:
-    """Slip settings without a robot: it is unknown when the arm moves, so a patch that stops may have been put down."""
+    """Slip settings without a robot: the arm's motion is unknown, so a patch that stops may have been put down."""
     return SlipSettings(stall_pitch=math.inf, slip_pitch=slip_pitch)
 
 
 class GraspWatch:
     """Turns the fields of one finger into states, arming the slip detector whenever the grasp has settled.
 
-    ``free`` detects a gel that nothing touches; let it learn the untouched gel if a frame of it is available.
+    ``free`` detects an untouched gel; let it learn the untouched gel if a frame of it is available.
     """
 
     def __init__(self, slip: SlipSettings | None = None) -> None:

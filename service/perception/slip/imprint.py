@@ -1,7 +1,7 @@
-"""The imprint between the markers: whether it stays in its place on the gel, and how strongly it is pressed.
+"""The imprint between the markers: its motion over the gel, and its pressure.
 
-The picture is sampled at fixed places between the markers, so it moves with the gel; what still changes in it is the
-object that moves against the gel, or is pressed otherwise. Markers themselves are left out, slow light is divided away.
+The picture is sampled at fixed places between the markers, so it moves with the gel; any remaining change comes from
+the object moving against the gel or from a change of pressure. The markers are left out, slow light is divided away.
 """
 
 from collections import deque
@@ -15,30 +15,30 @@ from numpy.typing import NDArray
 from service.perception.markers.field import FloatArray, MarkerField
 from service.perception.markers.regular import irregular_pitch
 
-_EVERY_NS = 100_000_000  # frames nearer than this to the last one looked at are not looked at
-_GAP_NS = 600_000_000  # after so long out of sight, the imprint is compared with nothing seen before
-_LATER_N = 3  # frames; and the imprint is compared over so many
-_SHRUNK_PITCH_PX = 20.0  # an image whose pitch is much more is shrunk first
-_SAMPLES = 8  # a pitch, of small grids
-_LARGE_N = 150  # markers, from which on half as many samples do
-_MARKER = 2.9 / 8  # pitch; radius of what is left out
+_EVERY_NS = 100_000_000  # frames closer than this to the last one examined are skipped
+_GAP_NS = 600_000_000  # after this time out of sight, the imprint is not compared with an earlier one
+_LATER_N = 3  # frames over which the imprint is also compared
+_SHRUNK_PITCH_PX = 20.0  # an image with a much larger pitch is shrunk first
+_SAMPLES = 8  # per pitch, of small grids
+_LARGE_N = 150  # markers, from which half as many samples suffice
+_MARKER = 2.9 / 8  # pitch; radius of the excluded disc
 _FINE, _SLOW, _AROUND = 1.0 / 8, 5.0 / 8, 9.0 / 8  # pitch
 _DARK = 8.0  # grey
-_LEAST = 1.0  # power of an imprint, (percent of the light)^2; a share of less tells nothing
-_WHERE = 0.05  # of the gel, which a rim or a pen that slides changes
-_STRONG = 0.1  # of the gel, by which the grip's strength is told
-_LITTLE = 0.15  # percent; relief won or lost that is none
-_RIDGE = np.diag([0.05, 0.05, 0.05, 5.0])  # (percent of the light)^2; an imprint fainter than this does not move
+_LEAST = 1.0  # power of an imprint, (percent of the light)^2; smaller ones carry no information
+_WHERE = 0.05  # share of the gel, which a sliding rim or pen changes
+_STRONG = 0.1  # share of the gel from which the grip's strength is estimated
+_LITTLE = 0.15  # percent; smaller changes of relief are ignored
+_RIDGE = np.diag([0.05, 0.05, 0.05, 5.0])  # (percent of the light)^2; a fainter imprint does not move
 
 
 @dataclass(frozen=True, slots=True)
 class ImprintChange:
-    """What one finger's imprint did since the last frames looked at.
+    """Change of one finger's imprint since the last examined frames.
 
-    ``changed`` and ``changed_later`` 0 .. 2: share of the imprint that is another one than a frame, and three frames,
-    before, where it has changed most. ``let_go`` -1 .. 1: relief lost rather than won within three frames.
-    ``relief``: of the imprint, percent of the light. ``irregular_pitch``: how far the markers are from a regular print.
-    ``walked_pitch``: how far the imprint as a whole has moved over the gel since the last look, right and down.
+    ``changed`` and ``changed_later`` 0 .. 2: share of the imprint that differs from one frame and three frames before,
+    where it has changed most. ``let_go`` -1 .. 1: relief lost rather than gained within three frames. ``relief``: of
+    the imprint, percent of the light. ``irregular_pitch``: deviation of the markers from a regular print.
+    ``walked_pitch``: motion of the whole imprint over the gel since the last examined frame, right and down.
     """
 
     changed: float
@@ -56,18 +56,18 @@ class _Look:
 
 
 class ImprintWatch:
-    """Follows one finger's imprint; where nothing new is looked at, the last change stands."""
+    """Follows one finger's imprint; the last change stands where no new frame is examined."""
 
     def __init__(self) -> None:
         self._grid: _Grid | None = None
         self._looks: deque[_Look] = deque(maxlen=_LATER_N)
         self._won: deque[tuple[float, float]] = deque(maxlen=3)
-        self._noise = np.inf  # what two looks at the stillest gel so far differ by, (percent of the light)^2
+        self._noise = np.inf  # difference of two frames of the stillest gel so far, (percent of the light)^2
         self._looked_ns: int | None = None
         self.last: ImprintChange | None = None
 
     def update(self, image: NDArray[np.uint8], field: MarkerField) -> ImprintChange | None:
-        """Look at a rectified image, uint8 [h, w, 3], and the markers found in it; None before two were seen."""
+        """Examine a rectified image, uint8 [h, w, 3], and its markers; None before two images."""
         since_ns = _GAP_NS if self._looked_ns is None else field.captured_ns - self._looked_ns
         if not field.usable or since_ns < _EVERY_NS:
             return self.last
@@ -106,20 +106,20 @@ class ImprintWatch:
     def _changed(self, before: _Look, now: _Look, moved: FloatArray) -> float:
         """Local power ``moved`` of the difference of two imprints, in shares of that of both; where it is largest.
 
-        What the stillest gel shows is noise of the camera, or of its coding, and no change.
+        The difference of the stillest gel is noise of the camera, or of its coding, and no change.
         """
         both = np.square(before.relief) + np.square(now.relief)
         return _all_but(_WHERE, np.maximum(moved - np.float32(self._noise), 0) / (both + _LEAST))
 
 
 def _all_but(share: float, values: FloatArray) -> float:
-    """What all but that share of the values are at most."""
+    """Upper bound of all but that share of the values."""
     rank = int((1 - share) * (values.size - 1))
     return float(np.partition(values.ravel(), rank)[rank])
 
 
 class _Grid:
-    """Where a grid's imprint is sampled, and what is left out of it."""
+    """Sampling places of a grid's imprint, and the excluded ones."""
 
     def __init__(self, shape: tuple[int, ...], pitch_px: float, channels: int) -> None:
         rows, columns = shape
@@ -159,9 +159,9 @@ class _Grid:
         return _Look(imprint, np.sqrt(self.power(imprint)))
 
     def walk(self, before: FloatArray, now: FloatArray) -> tuple[float, float]:
-        """How far the imprint [h, w, channels] moved to the right and down, in pitches, in the middle of what is seen.
+        """Motion of the imprint [h, w, channels] to the right and down, in pitches, in the middle of the visible part.
 
-        Least squares on the slopes of the imprint. Being pressed more, and turning about that middle, are no walk.
+        Least squares on the slopes of the imprint. Added pressure, and turning about that middle, do not count.
         """
         y, x = self._inner
         mean = (before + now) / 2
@@ -174,6 +174,6 @@ class _Grid:
         return float(moved[1] / self._samples), float(moved[2] / self._samples)
 
     def power(self, imprint: FloatArray) -> FloatArray:
-        """Mean square [h, w] of what is seen around, of an imprint [h, w, channels]."""
+        """Local mean square [h, w] of the visible part of an imprint [h, w, channels]."""
         squared = reduce(np.add, np.square(imprint).transpose(2, 0, 1)) / imprint.shape[-1]
         return np.asarray(cv2.boxFilter(squared, cv2.CV_32F, self._box) / self._boxed, np.float32)

@@ -1,7 +1,7 @@
 """The first frame that captures motion of the held object.
 
-Held still, the markers only jitter; averaged over 3 x 3 nodes the jitter is a few hundredths of a pixel. The object has
-moved once the carried displacement leaves the jitter since the reference was taken.
+At rest, the markers only jitter; averaged over 3 x 3 nodes the jitter is a few hundredths of a pixel. The object has
+moved once the carried displacement exceeds the jitter since the reference was taken.
 """
 
 from dataclasses import dataclass
@@ -11,14 +11,14 @@ import numpy as np
 from service.perception.markers.field import MarkerField, median
 from service.perception.slip.rigid import carried_px
 
-_FLOOR_PITCH = 0.012  # the least motion that counts
+_FLOOR_PITCH = 0.012  # the smallest motion that counts
 _SIGMAS = 6.0  # above the jitter at rest, which is known after
 _LEARN_N = 3  # frames
 
 
 @dataclass(frozen=True, slots=True)
 class Onset:
-    """The frame that first shows motion: its stamp, its place after the reference (from 0), and the motion."""
+    """The frame that first shows motion: its stamp, its index after the reference (from 0), and the motion."""
 
     captured_ns: int
     index: int

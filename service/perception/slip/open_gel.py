@@ -1,12 +1,12 @@
-"""Whether anything touches a gel, told from the same gel open: the light on it, and where its markers are.
+"""Whether anything touches a gel, by comparison with the same gel open: its shading, and its markers' places.
 
 A pressed gel changes colour where its surface tilts, and carries its markers along. The picture is compared with that
-of the open gel after both were shrunk and one factor has taken up the exposure. A pixel counts as changed only beyond
-what its neighbours in the open picture span: a marker that came home a little beside its place changes nothing.
+of the open gel after both were shrunk and one factor has removed the exposure. A pixel counts as changed only beyond
+the range of its neighbours in the open picture: a marker that returned a little beside its place changes nothing.
 
-Without a picture of the open gel the markers alone tell: an open gel's lie where they did, or, if no frame of it was
-learnt, where they were printed, on a sensor whose rectified image shows a regular grid. A sensor whose lens bends its
-grid is then never called open, and slip is detected as if something were held.
+Without a picture of the open gel only the markers count: in an open gel they lie at their learnt places or, if no frame
+of it was learnt, at their printed places, on a sensor whose rectified image shows a regular grid. A sensor whose lens
+bends its grid is then never called open, and slip is detected as if something were held.
 """
 
 from dataclasses import replace
@@ -23,25 +23,25 @@ from service.perception.slip.rigid import Float64
 
 Picture = NDArray[np.float32]
 _KEPT = 0.95  # share of the markers that count: the worst few may be worn, broken or mistaken
-_HALVED_N = 2  # times; four image px a side become one, a quarter of a millimetre on the sensors at hand
+_HALVED_N = 2  # halvings; four image px per side become one, a quarter of a millimetre on the present sensors
 _AROUND = np.ones((3, 3), np.uint8)
-_SLID = 0.5  # pitch; markers further off than this, all of them, were taken for their neighbours
-_EXPOSED = 1.3  # times the open gel's light; beyond, the camera is still finding its exposure
+_SLID = 0.5  # pitch; if all markers are further off than this, they were mistaken for their neighbours
+_EXPOSED = 1.3  # times the open gel's light; beyond, the camera is still adjusting its exposure
 
-# A gel is touched from these on, lengths in shares of the pitch.
-_SHADE_GREY = 4.5  # grey levels by which all of the picture but its most changed part has changed at most
+# Limits from which a gel is touched, lengths in shares of the pitch.
+_SHADE_GREY = 4.5  # largest change in grey levels of all but the most changed part of the picture
 _SHADE_AREA = 0.02  # that part
-_HOME_PITCH = 0.018  # RMS, from a learnt frame; real gels come home to 0.016, 2 N on a flat object move them by 0.02
-_PRINT_PITCH = 0.012  # from a regular grid of unknown place, size and turn, which a press from 8 N on leaves
-_WORN_PITCH = 0.06  # where a picture is known as well, for which real markers need not have come home
-_VALID_SHARE = 0.6  # of the markers; fewer tell nothing
-# How far all markers hang down on the mean where something's weight is held. In no frame of 22 real runs did both open
-# gels hang so far before a grasp, and in 0.5 % of those after a loss.
+_HOME_PITCH = 0.018  # RMS, from a learnt frame; real gels return to 0.016, 2 N on a flat object move them by 0.02
+_PRINT_PITCH = 0.012  # from a regular grid of free place, size and turn, exceeded from a press of 8 N on
+_WORN_PITCH = 0.06  # if a picture is known as well: real markers need not have returned completely
+_VALID_SHARE = 0.6  # share of the markers; fewer carry no information
+# Mean downward displacement of all markers under a held weight. In no frame of 22 real runs did both open gels show it
+# before a grasp, and in 0.5 % of those after a loss.
 WEIGHT_PITCH = 0.005
 
 
 class OpenGel:
-    """One finger's open gel: learnt before the grasp, or guessed from the regularity of its print."""
+    """One finger's open gel: learnt before the grasp, or inferred from the regularity of its print."""
 
     def __init__(self) -> None:
         self._home: MarkerField | None = None
@@ -49,7 +49,7 @@ class OpenGel:
         self._weighed: tuple[MarkerField | None, float | None] = None, None  # the last field, and its bulge
 
     def learn(self, field: MarkerField, picture: Picture | None = None) -> None:
-        """Take ``field``, and the :func:`shrunk` picture that it was found in, for those of the open gel.
+        """Take ``field``, and the :func:`shrunk` picture behind it, as those of the open gel.
 
         Raises ValueError if the field shows no markers.
         """
@@ -59,7 +59,7 @@ class OpenGel:
         self._spanned = None if picture is None else spanned(picture)
 
     def mark(self, field: MarkerField) -> MarkerField:
-        """The field with an empty contact if its markers show an open gel, else as it is (its contact is not known)."""
+        """The field with an empty contact if its markers show an open gel, else unchanged (its contact is unknown)."""
         if field.contact is not None:
             return field
         bulge = self.bulge(field)
@@ -68,7 +68,7 @@ class OpenGel:
         return replace(field, contact=np.zeros_like(field.valid))
 
     def touch(self, field: MarkerField, picture: Picture | None = None) -> float | None:
-        """How strongly the gel is touched, touched from 1 on; None where that cannot be told."""
+        """Strength of the touch on the gel, touched from 1 on; None if unknown."""
         bulge = self.bulge(field)
         if picture is None or self._spanned is None:
             return bulge
@@ -79,22 +79,23 @@ class OpenGel:
         return max(shade, away_pitch / _WORN_PITCH)
 
     def shade(self, picture: Picture) -> float | None:
-        """How much a :func:`shrunk` picture differs from the open gel's, touched from 1 on; None: unlearnt, unlike."""
+        """Difference of a :func:`shrunk` picture from the open gel's, touched from 1 on; None: unlearnt or unlike."""
         if self._spanned is None or self._spanned.picture.shape != picture.shape:
             return None
         changed = changed_grey(picture, self._spanned, _SHADE_AREA)
         return None if changed is None else changed / _SHADE_GREY
 
     def bulge(self, field: MarkerField) -> float | None:
-        """How far the markers are from their places, RMS, in shares of what an untouched gel may show; None: unseen."""
+        """RMS displacement of the markers over the limit of an untouched gel; None: not visible."""
         if self._weighed[0] is not field:
             self._weighed = field, self._bulge(field)
         return self._weighed[1]
 
     def weight(self, field: MarkerField) -> float | None:
-        """How far all markers hang down from where they lay in the open gel, something's weight from 1 on.
+        """Mean downward displacement of all markers from the open gel, something's weight from 1 on.
 
-        None: unseen, or no frame of the open gel was learnt. A stiff gel in a light grip may show that and no bulge.
+        None: not visible, or no frame of the open gel was learnt. A stiff gel in a light grip may show this and no
+        bulge.
         """
         may = self._comparable(field)
         if self._home is None or may is None:
@@ -114,7 +115,7 @@ class OpenGel:
         return _spread(off) / (limit * field.pitch_px)
 
     def _comparable(self, field: MarkerField) -> NDArray[np.bool_] | None:
-        """The markers that are seen now and were in the open gel; None where they are too few."""
+        """The markers visible both now and in the open gel; None if they are too few."""
         may = field.valid
         if self._home is not None and field.usable:
             if self._home.valid.shape != may.shape:
@@ -130,9 +131,9 @@ class OpenGel:
 
 
 def shrunk(image: NDArray[np.uint8]) -> Picture:
-    """The image uint8 [h, w, 3] or [h, w] as float32 [h / 4, w / 4, channels]: means of squares, so without noise.
+    """The image uint8 [h, w, 3] or [h, w] as float32 [h / 4, w / 4, channels]: means of squares, thus without noise.
 
-    Halved twice, which is a tenth of the work; what is left over at the right and lower border is cut off.
+    Halved twice, which is a tenth of the work; the remainder at the right and lower border is cut off.
     """
     small = image
     for _ in range(_HALVED_N):
@@ -143,7 +144,7 @@ def shrunk(image: NDArray[np.uint8]) -> Picture:
 
 
 class Spanned(NamedTuple):
-    """A :func:`shrunk` picture, and the least and most that it shows around each pixel."""
+    """A :func:`shrunk` picture, and its least and largest values around each pixel."""
 
     picture: Picture
     low: Picture
@@ -151,13 +152,13 @@ class Spanned(NamedTuple):
 
 
 def spanned(picture: Picture) -> Spanned:
-    """The picture with what it spans."""
+    """The picture with its local ranges."""
     low, high = (np.asarray(grow(picture, _AROUND), np.float32) for grow in (cv2.erode, cv2.dilate))
     return Spanned(picture, low.reshape(picture.shape), high.reshape(picture.shape))
 
 
 def changed_grey(picture: Picture, than: Spanned, area: float) -> float | None:
-    """Grey levels by which ``picture`` leaves what ``than`` spans around each pixel, but for the worst ``area``.
+    """Grey levels by which ``picture`` leaves the range of ``than`` around each pixel, except for the worst ``area``.
 
     None where the light differs by too much to compare.
     """
@@ -171,6 +172,6 @@ def changed_grey(picture: Picture, than: Spanned, area: float) -> float | None:
 
 
 def _spread(off: Float64) -> float:
-    """RMS length of the deviations [n, 2], but for the worst few."""
+    """RMS length of the deviations [n, 2], except for the worst few."""
     squared = np.sort(np.square(off).sum(-1))
     return float(np.sqrt(squared[: max(1, int(_KEPT * len(squared)))].mean()))

@@ -1,7 +1,7 @@
 """The phases of a grasp: open, contact, hold, slip, lost; of a finger alone, and of all fingers together.
 
-A grasp is what at least one finger still touches, so one finger that lets go for a while is no loss. It is lost once
-all fingers are empty in two frames that follow each other.
+A grasp exists while at least one finger is touched, so one finger that loses contact for a while is no loss. It is lost
+once all fingers are empty in two consecutive frames.
 """
 
 from collections import deque
@@ -11,14 +11,14 @@ from typing import Literal
 import numpy as np
 
 Phase = Literal["open", "contact", "hold", "slip", "lost"]
-_HELD_N = 4  # touched frames in a row
-_EMPTY_N = 2  # empty frames in a row: lost
-_DROP = 0.6  # empty: touched below 1 and below this share of what it was of late; a light touch may tremble
+_HELD_N = 4  # consecutive touched frames
+_EMPTY_N = 2  # consecutive empty frames: lost
+_DROP = 0.6  # empty: touch below 1 and below this share of its recent value; a light touch may fluctuate
 _REMEMBERED_N = 30
 
 
 class GraspPhases:
-    """Follows one finger or several, from how strongly each is touched (`OpenGel.touch`) and whether it slips."""
+    """Follows one finger or several, from the strength of each touch (`OpenGel.touch`) and from slip."""
 
     def __init__(self, phase: Phase = "open") -> None:
         self.phase: Phase = phase
@@ -27,7 +27,7 @@ class GraspPhases:
         self._held: list[deque[float]] = []
 
     def update(self, touches: Sequence[float | None], *, slips: bool) -> Phase:
-        """The phase after a frame; ``touches`` of each finger, None where it is not seen and decides nothing."""
+        """The phase after a frame; ``touches`` of each finger, None where it is not visible and has no say."""
         if len(self._held) != len(touches):
             self._held = [deque(maxlen=_REMEMBERED_N) for _ in touches]
         if all(self._empty(touch, held) for touch, held in zip(touches, self._held, strict=True)):
@@ -55,7 +55,7 @@ class GraspPhases:
             for held in self._held:
                 held.clear()
         elif self.phase == "contact" and self._touched_n >= _HELD_N:
-            self.phase, slips = "hold", False  # what moved while the fingers closed
+            self.phase, slips = "hold", False  # motion while the fingers closed
         for touch, held in zip(touches, self._held, strict=True):
             if touch is not None and touch >= 1:
                 held.append(touch)
@@ -73,7 +73,7 @@ class Grasp:
         self.fingers = [GraspPhases(phase) for _ in range(fingers_n)]
 
     def update(self, touches: Sequence[float | None], slips: Sequence[bool], *, slides: bool | None = None) -> Phase:
-        """The phase of the grasp after a frame of each finger; it ``slides`` where any slips, unless that is told."""
+        """The phase of the grasp after a frame of each finger; ``slides`` replaces the default: any finger slips."""
         for finger, touch, slip in zip(self.fingers, touches, slips, strict=True):
             finger.update([touch], slips=slip)
         return self.whole.update(touches, slips=any(slips) if slides is None else slides)

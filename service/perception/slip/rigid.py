@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Float64 = NDArray[np.float64]
 MIN_NODES = 4
 _LEAD = 4.0
-MIN_SPREAD = 0.3  # pitch; standard deviation of the nodes across their thinnest direction below which a fit is none
+MIN_SPREAD = 0.3  # pitch; below this standard deviation of the nodes across their thinnest direction no fit is made
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ def fit_motion(before: Float64, after: Float64, weights: Float64, pitch: float, 
     target = weights @ after / total
     x, y = before - pivot, after - target
     uu, uv, _, vv = ((x * weights[:, None]).T @ x / total).ravel().tolist()
-    thinnest = (uu + vv) / 2 - math.hypot((uu - vv) / 2, uv)  # the lesser eigenvalue
+    thinnest = (uu + vv) / 2 - math.hypot((uu - vv) / 2, uv)  # the smaller eigenvalue
     if not thinnest > (MIN_SPREAD * pitch) ** 2:
         return None
     dot = float(weights @ _dot(x, y))
@@ -62,10 +62,10 @@ def fit_motion(before: Float64, after: Float64, weights: Float64, pitch: float, 
 def refine(
     before: Float64, after: Float64, start: Motion, base: Float64, tolerance: float, pitch: float, *, scale: bool
 ) -> Motion | None:
-    """Iteratively reweighted fit (Geman-McClure) from ``start``; ``base`` [n] weights say which points may count.
+    """Iteratively reweighted fit (Geman-McClure) from ``start``; ``base`` [n] weights select the points that count.
 
     A slipping node always lags and never leads, so points ahead of the motion keep their weight up to ``_LEAD`` times
-    the tolerance: the fit follows the points that stick even when most have begun to lag.
+    the tolerance: the fit follows the sticking points even when most have begun to lag.
     """
     motion: Motion | None = start
     for _ in range(3):
@@ -85,16 +85,15 @@ def _dot(a: Float64, b: Float64) -> Float64:
 
 
 def length(off: Float64) -> Float64:
-    """Lengths [...] of vectors [..., 2]; several times as fast as numpy's norm, to the same bit."""
+    """Lengths [...] of vectors [..., 2]; several times as fast as numpy's norm, bit for bit equal."""
     return np.asarray(np.sqrt(_dot(off, off)))
 
 
 def moving_patch(before: Float64, after: Float64, valid: NDArray[np.bool_], tolerance: float, pitch: float) -> Motion:
-    """The rigid motion followed by the largest moving patch of the grid, ``before``/``after`` [rows, cols, 2].
+    """The rigid motion of the largest moving patch of the grid, ``before``/``after`` [rows, cols, 2].
 
-    Every small window of the grid proposes its own motion; the one that explains the most movement wins, so a resting
-    majority outside the contact does not. Ties and grids at rest give no motion. Nodes that are not finite count as
-    not valid.
+    Every small window of the grid proposes its own motion. The one that explains the most movement wins, so a resting
+    majority outside the contact does not. Ties and grids at rest give no motion. Non-finite nodes count as invalid.
     """
     valid = valid & np.isfinite(before).all(-1) & np.isfinite(after).all(-1)
     before, after = np.where(valid[..., None], before, 0.0), np.where(valid[..., None], after, 0.0)
@@ -147,7 +146,7 @@ def _window_motions(x: Float64, y: Float64, valid: NDArray[np.bool_]) -> tuple[F
 
 
 def carried_px(displacement: Float64, may: NDArray[np.bool_]) -> float:
-    """How far the gel was carried anywhere, in px: the tenth largest 3 x 3 mean of the displacement."""
+    """Largest motion of the gel, in px: the tenth largest 3 x 3 mean of the displacement."""
     weight = may.astype(np.float64)
     stack = np.dstack([displacement * weight[..., None], weight])
     total = cv2.boxFilter(stack, cv2.CV_64F, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)

@@ -1,10 +1,10 @@
-"""Whether the held object slides out of the hand: by what both fingers' imprints and markers do.
+"""Whether the held object slides out of the hand, from both fingers' imprints and markers.
 
-What slides and is held lightly falls: the imprint changes against the markers, from frame to frame and over three of
-them, loses relief rather than wins it, and neither relief nor a bulging grid of markers says that the grip is strong.
-A logistic of these five speaks only where the imprints of all fingers move. Many objects turn in a strong grip and
-stay; but one whose imprint has walked far over all fingers, however slowly, is on its way out. Weights and limits are
-fitted by `python -m simulation grasps`.
+A lightly held object that slides falls: the imprint changes against the markers, from frame to frame and over three of
+them, loses relief rather than gaining it, and neither relief nor a bulging grid of markers indicates a strong grip. A
+logistic of these five counts only where the imprints of all fingers move. Many objects turn in a strong grip and stay;
+but one whose imprint has moved far over all fingers, however slowly, is on its way out. Weights and limits are fitted
+by `python -m simulation grasps`.
 """
 
 import math
@@ -19,16 +19,16 @@ from service.perception.slip.imprint import ImprintChange
 
 TERMS = ("changed", "changed over three", "let go", "relief", "irregular", "moved", "walked")
 READ_N = 5  # terms of the logistic
-# Weights of these, their bias with the limit included, and the logarithm of the pitches that are too far.
+# Weights of these, their bias including the limit, and the logarithm of the pitches that are too far.
 MODEL = np.array([0.6101, 1.078, 3.8423, -2.0489, -2.6615, -2.3619, -0.3735])
-_MOVED = math.log(0.025)  # pitches; five times what the imprint of an object at rest seems to move
-_MOVED_N = 3  # looks
-_WALKED_N = 32  # looks, 3 to 4 s
+_MOVED = math.log(0.025)  # pitches; five times the apparent motion of the imprint of an object at rest
+_MOVED_N = 3  # examined frames
+_WALKED_N = 32  # examined frames, 3 to 4 s
 _STILL = 1e-3
 _LITTLE = 0.01
-_IRREGULAR = 0.2  # pitch; more, or a grid that is not seen, says no more
-_REGULAR = 0.02  # pitch, of all fingers; less was never seen, and says no more
-_FAINT = 7.0  # percent, of all fingers; a fainter imprint is one of another light or gel, and no lighter grip
+_IRREGULAR = 0.2  # pitch; more, or an invisible grid, adds no information
+_REGULAR = 0.02  # pitch, of all fingers; less never occurred, and adds no information
+_FAINT = 7.0  # percent, of all fingers; a fainter imprint means another light or gel, not a lighter grip
 
 
 class SlideWitness:
@@ -40,14 +40,14 @@ class SlideWitness:
         self._walks: deque[list[tuple[float, float]]] = deque(maxlen=_WALKED_N)
 
     def update(self, fingers: Sequence[ImprintChange | None]) -> float | None:
-        """How surely the object slides out, from 0 on surely enough; None where `terms` is."""
+        """Evidence that the object slides out, sufficient from 0 on; None where `terms` is."""
         terms = self.terms(fingers)
         return None if terms is None else float(slide_score(terms))
 
     def terms(self, fingers: Sequence[ImprintChange | None]) -> NDArray[np.float64] | None:
-        """What :func:`slide_score` reads, float64 [TERMS]; None until each finger's imprint was looked at anew.
+        """Inputs of :func:`slide_score`, float64 [TERMS]; None until each finger's imprint has a new examined frame.
 
-        None of one finger, too, whose grip looks half as strong as it is.
+        Also None for one finger alone, whose grip looks half as strong as it is.
         """
         changes = [finger for finger in fingers if finger is not None]
         if len(changes) < max(2, len(fingers)):
@@ -74,12 +74,12 @@ class SlideWitness:
         )
 
     def _way(self, looks: int) -> float:
-        """How far the imprints are from where they were that many looks ago: mean logarithm of pitches."""
+        """Motion of the imprints over that many examined frames: mean logarithm of pitches."""
         ways = np.hypot(*np.sum(list(self._walks)[-looks:], 0).T)
         return float(np.log(_STILL + ways).mean())
 
 
 def slide_score(terms: NDArray[np.float64], model: NDArray[np.float64] = MODEL) -> NDArray[np.float64]:
-    """What `terms` [..., TERMS] say of a slide, 0 at the limit."""
+    """Score of a slide from `terms` [..., TERMS], 0 at the limit."""
     lightly = terms[..., :READ_N] @ model[:READ_N] + model[READ_N]
     return np.asarray(np.maximum(np.minimum(lightly, terms[..., -2] - _MOVED), terms[..., -1] - model[-1]))

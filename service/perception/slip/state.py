@@ -15,17 +15,17 @@ class SlipSettings:
     """Limits in shares of the marker pitch, so that they hold at every resolution; times in seconds.
 
     Slip is declared when ``slip_share`` of the nodes known to have stuck (at least ``min_nodes``) lag the object by
-    more than ``slip_pitch`` beyond their elastic share, and by ``stand_out`` times what the better half of them do
-    (their median, averaged over ``noise_s``): an object that cannot be followed rigidly, because it is soft, shaken or
-    seen blurred, has no node that stands out. The elastic share is learned while the object has moved less than
+    more than ``slip_pitch`` beyond their elastic share, and by ``stand_out`` times the lag of the better half of them
+    (their median, averaged over ``noise_s``). In an object that cannot be followed rigidly, because it is soft, shaken
+    or blurred, no node therefore stands out. The elastic share is learned while the object has moved less than
     ``learn_pitch``, and later from nodes whose lag grows by less than ``learn_share`` of the motion.
 
     ``max_shift_pitch`` and ``max_angle_deg`` are the safety rule: a patch carried further than this must stop the arm
     even if no node has slipped.
 
-    A patch that slides straight leaves no node behind: its motion, which followed the fingers, just stands still. That
-    is slip if within ``stall_s`` it goes on by less than ``stall_share`` of its fastest such stretch and was carried
-    by ``stall_pitch``, which takes about half of the friction that a grasp can bear. It holds while the arm descends.
+    A patch that slides straight leaves no node behind: its motion, which followed the fingers, stops. That is slip if
+    within ``stall_s`` it moves on by less than ``stall_share`` of its fastest such stretch and was carried by
+    ``stall_pitch``, about half of the friction that a grasp can bear. This applies while the arm descends.
     """
 
     slip_pitch: float = 0.10
@@ -53,12 +53,12 @@ class SlipSettings:
 
 @dataclass(frozen=True, slots=True)
 class SlipState:
-    """The state of one finger now.
+    """The present state of one finger.
 
     ``score`` is the slip evidence, slip at 1 and above. ``residual_px`` float32 [rows, cols, 2] is each marker's
-    deviation from the object's motion, ``slipping`` and ``sticking`` [rows, cols] the nodes classified so. The object's
+    deviation from the object's motion, ``slipping`` and ``sticking`` [rows, cols] the nodes of each class. The object's
     motion since the reference is ``shift_px`` (of the patch's centre, u right, v down) and ``angle_rad`` (from u to v).
-    ``over_limit`` is the safety rule; ``stop``: the arm must not go on.
+    ``over_limit`` is the safety rule; ``stop``: the arm must stop.
     """
 
     state: FingerState
