@@ -1,1 +1,1 @@
-"""What every report is made of: statistics, tables, pages, figures, files and the machine's description."""
+"""Components of every report: statistics, tables, pages, figures, files and the machine's description."""

@@ -1,4 +1,4 @@
-"""Figures of one style: colours that colour-blind readers tell apart, labels at the data, honest axes, same bytes."""
+"""Figures of one style: colours for colour-blind readers, labels at the data, honest axes, same bytes."""
 
 import io
 from collections.abc import Iterator
@@ -32,8 +32,8 @@ def drawing(
 ) -> Iterator[NDArray[Any]]:
     """Yield panels [rows, columns]; on leaving, write them as PNG, durably and without date or version.
 
-    ``size`` is in inches, ``panels`` goes to matplotlib's ``subplots``. A linear axis that does not begin at zero says
-    so, and so does a logarithmic one.
+    ``size`` is in inches, ``panels`` goes to matplotlib's ``subplots``. A linear axis that does not begin at zero is
+    marked, and so is a logarithmic one.
     """
     from matplotlib import rc_context
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""Files that survive a kill: temporary file, fsync, rename, fsync of the folder; JSON and CSV on top; and logs."""
+"""Files that survive a kill: temporary file, fsync, rename, fsync of the folder; with JSON, CSV and logs on top."""
 
 import csv
 import io
@@ -10,7 +10,7 @@ from typing import Any
 
 
 def write_durably(path: Path, data: bytes) -> None:
-    """Replace ``path`` by ``data`` so that a kill or power cut leaves either the old or the new file, whole."""
+    """Replace ``path`` by ``data`` so that a kill or power cut leaves either the old or the new file complete."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with temporary.open("wb") as file:
         file.write(data)
@@ -29,7 +29,7 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """A table with a line of titles, those of the first row; sequences are joined by semicolons."""
+    """A table with a header line, the keys of the first row; sequences are joined by semicolons."""
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
@@ -39,7 +39,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
-    """The rows of a log, a line of JSON each; none without the file, and without a line that a kill cut short."""
+    """The rows of a log, one JSON object per line; none without the file, and without a line that a kill truncated."""
     rows = []
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
         try:

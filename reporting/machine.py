@@ -1,4 +1,4 @@
-"""Where and with what a report was made, and how long a call takes there."""
+"""The machine and code version behind a report, and the cost of a call there."""
 
 import os
 import platform
@@ -37,7 +37,7 @@ def commit() -> str:
 
 
 def best_cpu_ms(call: Callable[[], Any], repeats: int) -> float:
-    """Shortest processor time of ``repeats`` calls, ms: what disturbs a call only makes it longer."""
+    """Shortest processor time of ``repeats`` calls, ms: disturbances only make a call longer."""
 
     def once() -> float:
         begun = time.process_time()

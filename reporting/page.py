@@ -14,7 +14,7 @@ TIED = re.compile(r" (?=%|(?:[0-9]+[.)]|[-+*>]|#+)(?: |$))")  # at the head of a
 
 
 def page(*parts: str | Table) -> str:
-    """The whole page as Markdown. Blank lines part paragraphs; headings, pictures and comments keep their lines."""
+    """The whole page as Markdown. Blank lines separate paragraphs; headings, pictures and comments keep their lines."""
     blocks = [block for part in parts for block in ([part.markdown()] if isinstance(part, Table) else _blocks(part))]
     return "\n\n".join(blocks) + "\n"
 
@@ -44,7 +44,7 @@ def _filled(paragraph: str) -> str:
 
 
 def missed_first(checks: Iterable[tuple[bool, str]], between: str = "; ") -> str:
-    """What was asked for and came of it, as sentences: first what does not hold, then what does."""
+    """Requirements and their results, as sentences: first those that fail, then those that hold."""
     rows = list(checks)
     paragraphs = (
         (heading, between.join(text for holds, text in rows if bool(holds) is wanted))
@@ -54,7 +54,7 @@ def missed_first(checks: Iterable[tuple[bool, str]], between: str = "; ") -> str
 
 
 def publish(folder: Path, name: str, text: str, data: Any = None) -> str:
-    """Write ``name.md`` and, where there are data, ``name.json`` into the folder; returns the text."""
+    """Write ``name.md`` and, if there are data, ``name.json`` into the folder; returns the text."""
     folder.mkdir(parents=True, exist_ok=True)
     if data is not None:
         write_json(folder / f"{name}.json", data)

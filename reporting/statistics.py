@@ -34,13 +34,13 @@ def number(value: float | None, spec: str = "") -> str:
 
 
 def wilson(hits: float, count: int) -> Estimate:
-    """A share and its score interval (Wilson 1927), which lies in 0..1; (nan, 0, 1) of nothing."""
+    """A share and its score interval (Wilson 1927), which lies in 0..1; (nan, 0, 1) for no data."""
     if count == 0:
         return Estimate(math.nan, 0.0, 1.0)
     share, spread = hits / count, Z95**2 / count
     middle = (share + spread / 2) / (1 + spread)
     half = Z95 / (1 + spread) * math.sqrt(share * (1 - share) / count + spread / (4 * count))
-    # Rounding may put an end of 0..1 beyond the share.
+    # Rounding may put an end at 0 or 1 beyond the share.
     return Estimate(share, max(0.0, min(share, middle - half)), min(1.0, max(share, middle + half)))
 
 
@@ -59,6 +59,6 @@ def bootstrap(value: float, resampled: Sequence[float]) -> Estimate:
 
 
 def percentiles(values: ArrayLike, *shares: float) -> list[float]:
-    """Percentiles in 0..100, in the order asked for; NaN of nothing."""
+    """Percentiles in 0..100, in the given order; NaN for no data."""
     sample = np.asarray(values, float)
     return [float(value) for value in np.percentile(sample, shares)] if sample.size else [math.nan] * len(shares)

@@ -10,10 +10,10 @@ Key = str | int | Callable[[Any], Any]
 
 
 class Column(NamedTuple):
-    """A title, where a row keeps the value, and the value's format.
+    """A title, the place of the value in a row, and the value's format.
 
-    ``key`` is an index, a function of the row, or the name of an entry or attribute, in which dots lead inwards:
-    ``model.force_n``, ``0.name``. A column with a format holds numbers and is set to the right.
+    ``key`` is an index, a function of the row, or the name of an entry or attribute, with dots for nesting:
+    ``model.force_n``, ``0.name``. A column with a format holds numbers and is right-aligned.
     """
 
     title: str
@@ -25,7 +25,7 @@ class Column(NamedTuple):
 
 
 def text_of(value: Any, spec: str = "") -> str:
-    """One cell: three numbers with a format are an estimate, other sequences are listed; ``-`` where there is none."""
+    """One cell: three numbers with a format are an estimate, other sequences are listed; ``-`` for None."""
     if isinstance(value, list | tuple):
         if spec and len(value) == len(Estimate._fields):
             return format(Estimate(*value), spec)
@@ -73,7 +73,7 @@ class Table:
 
 
 def table(rows: Iterable[Any], *columns: tuple[str, Key] | tuple[str, Key, str]) -> Table:
-    """Rows under columns, each a title, a key and perhaps a format; see `Column`."""
+    """Rows under columns, each with a title, a key and optionally a format; see `Column`."""
     return Table(tuple(Column(*column) for column in columns), tuple(rows))
 
 

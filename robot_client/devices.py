@@ -1,4 +1,4 @@
-"""The arms and grippers that this client drives: one line a device, its module imported when the device is chosen.
+"""The supported arms and grippers: one line per device, its module imported when the device is chosen.
 
 The module of a device has ``Settings``, its table of the configuration, and ``make``, which returns the device behind
 its port without connecting it:
@@ -6,7 +6,7 @@ its port without connecting it:
 - an arm: ``make(settings, limits, ramps, frame) -> Arm``,
 - a gripper: ``make(settings) -> Gripper``.
 
-A name with a dot is a module of the user's own, wherever Python finds it.
+A name with a dot is a user's own module, anywhere on Python's path.
 """
 
 from importlib import import_module
@@ -45,12 +45,12 @@ def _module(registry: dict[str, str], name: str) -> ModuleType:
 
 
 def make_arm(settings: DeviceSettings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:
-    """The arm that ``settings`` belong to, behind its port; nothing is connected yet."""
+    """The arm for ``settings``, behind its port; nothing is connected yet."""
     arm: Arm = _module(ROBOTS, settings.device).make(settings, limits, ramps, frame)
     return arm
 
 
 def make_gripper(settings: DeviceSettings) -> Gripper:
-    """The gripper that ``settings`` belong to, behind its port; nothing is connected yet."""
+    """The gripper for ``settings``, behind its port; nothing is connected yet."""
     gripper: Gripper = _module(GRIPPERS, settings.device).make(settings)
     return gripper

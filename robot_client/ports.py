@@ -1,6 +1,6 @@
-"""What an insertion needs of its devices. Orders return at once; their results arrive as events through ``post``.
+"""The ports that an insertion needs. Orders return at once; their results arrive as events through ``post``.
 
-Each driver reports its own trouble as a Failure event; nothing it does in the background may end silently.
+Each driver reports its own failures as a Failure event; nothing it does in the background may end silently.
 """
 
 from collections.abc import Awaitable, Callable
@@ -17,14 +17,14 @@ HomingDirection = Literal["default", "outward", "inward"]
 
 
 class DriverError(ValueError):
-    """A device could not be made ready; the text names it, what was expected and what to do."""
+    """A device could not be made ready; the text names it, the expectation and the remedy."""
 
 
 class DeviceSettings(Contract):
     """The table of a device in the configuration; ``device`` names its line in :mod:`robot_client.devices`.
 
-    ``variables``: environment variables that stand in for keys of the table, each with the way to its key. ``pauses``,
-    of an arm: its driver can let a descent stand and go on (:meth:`Arm.move`).
+    ``variables``: environment variables that replace keys of the table, each with the path to its key. ``pauses``, of
+    an arm: its driver can let a descent stop and go on (:meth:`Arm.move`).
     """
 
     variables: ClassVar[dict[str, tuple[str, ...]]] = {}
@@ -33,19 +33,19 @@ class DeviceSettings(Contract):
 
     @property
     def address(self) -> str:
-        """Where the device is reached, for display."""
+        """The address of the device, for display."""
         return self.device
 
 
 class Finding(NamedTuple):
-    """One result of a check; ``good`` is False for what stands in the way of an insertion."""
+    """One result of a check; ``good`` is False if it prevents an insertion."""
 
     good: bool
     text: str
 
 
 Check = Callable[[], Awaitable[list[Finding]]]
-"""Reads a device and moves nothing; raises ValueError or TimeoutError where it cannot be read."""
+"""Reads a device and moves nothing; raises ValueError or TimeoutError if it cannot be read."""
 
 
 class Signals(Protocol):
@@ -65,46 +65,46 @@ class Arm(Protocol):
     """A guided arm. After a failure it is latched: it holds and takes no more moves."""
 
     async def start(self, post: Post) -> WorkPose:
-        """Connect, start guidance, and return where the TCP stands; raises DriverError."""
+        """Connect, start guidance, and return the TCP's pose; raises DriverError."""
 
     def move(self, target: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
         """Begin a straight move; Arrived follows. Raises LimitError if it is not allowed.
 
-        ``legs`` of a descent that changes its speed; an arm that cannot refuses it.
+        ``legs``: of a descent with several speeds; an arm that does not support them refuses it.
 
-        A descent goes on only before ``until_s`` (``time.monotonic``); then the driver itself lets the arm stand, even
-        if nothing else of the client runs any more. Without :meth:`renew` within ``PAUSE_S`` it holds, latched, and
-        reports a failure ``unwatched``; at once where the arm cannot stand and go on (:attr:`DeviceSettings.pauses`).
+        A descent moves only before ``until_s`` (``time.monotonic``); then the driver itself stops the arm, even if
+        nothing else of the client runs any more. Without :meth:`renew` within ``PAUSE_S`` it holds, latched, and
+        reports a failure ``unwatched``; at once if the arm cannot stop and go on (:attr:`DeviceSettings.pauses`).
         """
 
     def renew(self, until_s: float) -> None:
-        """The descent under way may go on until then."""
+        """Let the descent under way go on until then."""
 
     def hold(self, reason: str, *, stop: bool) -> None:
-        """Freeze the target before returning; Standstill follows. ``stop``: end the controller's program too."""
+        """Freeze the target before returning; Standstill follows. ``stop``: end the controller's program, too."""
 
     async def close(self) -> str:
         """Stop the program, wait until the controller confirms, release everything; returns how it ended.
 
-        Allowed before :meth:`start`, where nothing is to be stopped.
+        Allowed before :meth:`start`, when there is nothing to stop.
         """
 
     def position(self) -> WorkPose | None:
         """The last measured pose."""
 
     def target(self) -> WorkPose | None:
-        """The pose that it is told to have now, None where that is not known."""
+        """The pose presently commanded, None if unknown."""
         return None
 
     def statistics(self) -> dict[str, Any]:
         """Figures of the link for the report (cycles, gaps, stop latency)."""
 
     def checks(self) -> dict[str, Check]:
-        """The checks of an arm that was not started, by the name under which their findings are printed."""
+        """The checks of an arm that is not started, by the names printed with their findings."""
         return {}
 
     def signals(self) -> Signals | None:
-        """The controller's signals, usable before :meth:`start`; None for an arm that has none."""
+        """The controller's signals, usable before :meth:`start`; None for an arm without them."""
         return None
 
 
@@ -113,7 +113,7 @@ class Gripper(Protocol):
 
     @property
     def held(self) -> bool:
-        """Whether it holds something, as far as it tells; asked after :meth:`start`."""
+        """Whether it holds something, as far as it reports; valid after :meth:`start`."""
         return False
 
     async def start(self, post: Post) -> None:
@@ -123,10 +123,10 @@ class Gripper(Protocol):
         """Make sure the object is held; Grasped follows."""
 
     async def close(self) -> None:
-        """Leave the fingers as they are and release the connection."""
+        """Leave the fingers in place and release the connection."""
 
     def checks(self) -> dict[str, Check]:
-        """The checks of a gripper that was not started, by the name under which their findings are printed."""
+        """The checks of a gripper that is not started, by the names printed with their findings."""
         return {}
 
     async def connect(self) -> None:
@@ -137,18 +137,18 @@ class Gripper(Protocol):
         raise DriverError("gripper: this device has no fault to acknowledge")
 
     async def width_mm(self) -> float:
-        """How far apart the fingers are. After :meth:`connect` only; raises DriverError."""
+        """Distance of the fingers, mm. Only after :meth:`connect`; raises DriverError."""
         raise DriverError("gripper: this device does not tell its width")
 
     async def release(self, width_mm: float) -> float:  # noqa: ARG002 for devices to use
-        """Open to ``width_mm``, letting go of what is held; the width in mm then. After :meth:`connect` only.
+        """Open to ``width_mm``, releasing a held object; returns the width in mm. Only after :meth:`connect`.
 
-        Raises DriverError, also where the fingers did not get there.
+        Raises DriverError, also if the fingers did not get there.
         """
         raise DriverError("gripper: this device has no order to let go")
 
     async def finds_nothing(self) -> bool:
-        """Close as for a grasp, and tell whether nothing is between the fingers. After :meth:`connect` only."""
+        """Close as for a grasp, and return whether nothing is between the fingers. Only after :meth:`connect`."""
         raise DriverError("gripper: this device cannot feel whether it is empty")
 
     async def home(self, direction: HomingDirection) -> float:  # noqa: ARG002 for devices to use
@@ -166,4 +166,4 @@ class DecisionService(Protocol):
         """Send without waiting."""
 
     async def close(self) -> None:
-        """Send what is still queued and close."""
+        """Send the rest of the queue and close."""

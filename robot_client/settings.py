@@ -32,7 +32,7 @@ Table = TypeVar("Table", bound=BaseModel)
 
 
 class SettingsError(ContractError):
-    """The configuration is wrong; the text names file, key and what was expected."""
+    """The configuration is wrong; the text names file, key and expectation."""
 
 
 class Task(Contract):
@@ -46,9 +46,9 @@ class Task(Contract):
     depth_tolerance_mm: Positive = 1.0
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)  # deeper for an object pushed up in the hand: if free
     max_no_decisions: int = Field(default=2, ge=0, le=15)
-    grip_n: float | None = Field(default=None, gt=0, le=1000)  # gripping force; None: nobody measured it
-    shear_reach_mm: float | None = Field(default=None, gt=0, le=100)  # how far the gel shears before it slides
-    object: str = Field(default="", max_length=128)  # what is held: for the record, nothing depends on it
+    grip_n: float | None = Field(default=None, gt=0, le=1000)  # gripping force; None: not measured
+    shear_reach_mm: float | None = Field(default=None, gt=0, le=100)  # shear of the gel at which it slides
+    object: str = Field(default="", max_length=128)  # held object: for the record only
 
     @property
     def grasp_height_mm(self) -> float | None:
@@ -58,7 +58,7 @@ class Task(Contract):
 
 
 class Settings(Contract):
-    """Everything. ``robot`` and ``gripper`` hold the settings of the devices that they name."""
+    """The whole configuration. ``robot`` and ``gripper`` hold the settings of the devices that they name."""
 
     robot: DeviceSettings = Field(default_factory=lambda: _device("robot", {}))
     gripper: DeviceSettings = Field(default_factory=lambda: _device("gripper", {}))
@@ -71,8 +71,8 @@ class Settings(Contract):
     pace: Pace = Pace()
     task: Task = Task()
     cycle: CycleSettings | None = None
-    commissioning: Path | None = None  # the record of `commission`, without which nothing is inserted live
-    simulated: bool = False  # the devices are those of a simulated cell: no warning that a robot moves
+    commissioning: Path | None = None  # the record of `commission`, required for a live insertion
+    simulated: bool = False  # the devices are those of a simulated cell: no warning of a moving robot
 
     def make_arm(self) -> Arm:
         """The arm behind its port; nothing is connected yet."""
@@ -84,14 +84,14 @@ class Settings(Contract):
 
     @property
     def errands(self) -> Errands:
-        """What the devices do outside an insertion."""
+        """The errands on the configured devices."""
         return Errands(self.make_arm, self.make_gripper, self.limits, self.ramps, self.timeouts.motion_s)
 
 
 def load_settings(path: Path | None, overrides: dict[str, Any] | None = None) -> Settings:
     """Settings of a TOML file (None: defaults) with the tables of ``overrides`` on top; raises SettingsError.
 
-    A variable of the environment that stands in for a key of a device (the RWS password) wins over the file.
+    An environment variable that replaces a key of a device (the RWS password) takes precedence over the file.
     """
     source = str(path or "configuration")
     data: dict[str, Any] = {}
@@ -112,7 +112,7 @@ def load_settings(path: Path | None, overrides: dict[str, Any] | None = None) ->
 
 
 def _merged(data: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
-    """``data`` with the overrides that are not None; a value that should be a table is left for the validation."""
+    """``data`` with the overrides that are not None; a value in place of a table is left for the validation."""
     merged = dict(data)
     for key, value in overrides.items():
         if isinstance(value, dict):
@@ -124,7 +124,7 @@ def _merged(data: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
 
 
 def _device(key: str, data: Any, source: str = "") -> DeviceSettings:
-    """The table of one device, with the variables that stand in for keys of it."""
+    """The table of one device, with the variables that replace its keys."""
     name = data.get("device", DEFAULT_DEVICES[key]) if isinstance(data, dict) else DEFAULT_DEVICES[key]
     try:
         model = devices.settings_of(REGISTRIES[key], name)

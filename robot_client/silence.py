@@ -1,13 +1,13 @@
-"""How long a link has been silent, as far as this process could have heard it."""
+"""Duration of a link's silence, as far as this process could have noticed it."""
 
 from dataclasses import dataclass
 
 
 @dataclass(slots=True)
 class Silence:
-    """Watch of one link. Time in which this process itself did not run does not count: what came then is read first.
+    """Watch of one link. Time in which this process itself did not run does not count: pending messages are read first.
 
-    ``bound_s`` of silence is too much; ``period_s`` is how often :meth:`over` is asked.
+    ``bound_s``: the allowed silence; ``period_s``: how often :meth:`over` is called.
     """
 
     bound_s: float
@@ -19,7 +19,7 @@ class Silence:
         self._heard_s = now_s
 
     def over(self, now_s: float) -> float | None:
-        """Seconds of silence if they exceed the bound, else None; never before something was heard."""
+        """Seconds of silence if they exceed the bound, else None; never before the first message."""
         late_s = 0.0 if self._asked_s is None else max(0.0, now_s - self._asked_s - 2.0 * self.period_s)
         self._asked_s = now_s
         if self._heard_s is None:

@@ -140,9 +140,9 @@ class Settings(BaseSettings):
 
     @property
     def hosts(self) -> tuple[str, ...]:
-        """Every name that requests may call this service by: this machine's, the address listened on, and those given.
+        """All host names accepted in requests: this machine's, the listening address, and the configured ones.
 
-        Another name is a page's that made a browser resolve it to this address (DNS rebinding).
+        Another name is that of a page that made a browser resolve it to this address (DNS rebinding).
         """
         listens = {f"[{self.host}]" if ":" in self.host else self.host} - {"0.0.0.0", "[::]"}  # noqa: S104
         return (*sorted({"localhost", "127.0.0.1", "[::1]", socket.gethostname()} | listens), *self.allowed_hosts)

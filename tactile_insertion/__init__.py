@@ -1,1 +1,1 @@
-"""One command for all rooms: `tactile-insertion COMMAND`; see `tactile_insertion.commands` for the table."""
+"""One command for all packages: `tactile-insertion COMMAND`; see `tactile_insertion.commands` for the table."""

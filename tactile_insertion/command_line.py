@@ -1,7 +1,7 @@
 """`tactile-insertion COMMAND [options]`: finds the package of a command and runs it there.
 
-Nothing is imported before a command is known, so that `--help` is instant and a light command stays light.
-Exit codes: 0 done, 1 not done, 2 wrong input or a missing installation, 130 interrupted.
+Nothing is imported before a command is known, so that `--help` is instant and a light command stays light. Exit codes:
+0 done, 1 not done, 2 invalid input or a missing installation, 130 interrupted.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ EXTRAS = {"training": "training", "export": "training"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; wrong input is one line on standard error and exit code 2."""
+    """Run one command; invalid input gives one line on standard error and exit code 2."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in {"-h", "--help"}:
         print(usage())
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def usage() -> str:
-    """The help text: one line a command, within 80 columns."""
+    """The help text: one line per command, within 80 columns."""
     lines = ["usage: tactile-insertion COMMAND [options]", ""]
     for title, commands in GROUPS.items():
         lines += [f"{title}:", *(f"  {name:<16} {command.help}" for name, command in commands.items()), ""]
@@ -78,7 +78,7 @@ def _run(name: str, command: Command, rest: list[str]) -> int:
 
 
 def _help(entry: Callable[[list[str]], int], words: list[str]) -> int:
-    """A command's own help, with the paragraphs that its option parser leaves long wrapped to the terminal."""
+    """A command's own help, with its long paragraphs wrapped to the terminal."""
     written = io.StringIO()
     try:
         with contextlib.redirect_stdout(written):
@@ -90,7 +90,7 @@ def _help(entry: Callable[[list[str]], int], words: list[str]) -> int:
 
 
 def _print_completion(shell: list[str]) -> int:
-    """A script for the shell that completes the commands, and files after them."""
+    """A script for the shell that completes the commands, and then files."""
     names = " ".join(COMMANDS)
     scripts = {
         "bash": f'complete -o default -W "{names}" tactile-insertion',

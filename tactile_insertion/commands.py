@@ -1,4 +1,4 @@
-"""The table of all commands: which package runs each, under which name there, and what it does."""
+"""The table of all commands: the package of each, its name there, and its line of help."""
 
 from typing import NamedTuple
 

@@ -16,7 +16,7 @@ from training.data.dataset import SPLITS, open_source
 
 FRAMES = 8
 GAIN = 0.7
-"""Where class and estimate agree, the command is this factor times the estimate."""
+"""Where class and estimate agree, the command is minus this factor times the estimate."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""`check`: reads every device that an insertion needs and moves nothing; one line a finding."""
+"""`check`: reads every device that an insertion needs and moves nothing; one line per finding."""
 
 import asyncio
 import contextlib
@@ -33,7 +33,7 @@ async def _check(settings: Settings) -> Outcome:
 
 
 async def findings_of(settings: Settings) -> AsyncIterator[tuple[str, Finding]]:
-    """Ask the plan, every device and the service, and give each finding with the name of its check; moves nothing."""
+    """Check the plan, every device and the service; yield each finding with the name of its check; moves nothing."""
     arm, gripper = settings.make_arm(), settings.make_gripper()
     checks: dict[str, Check] = {
         "plan": lambda: _plan(settings),
@@ -89,7 +89,7 @@ async def _plan(settings: Settings) -> list[Finding]:
 
 
 async def _service(settings: Settings) -> list[Finding]:
-    """Greet as a watcher, which can drive nothing."""
+    """Connect as a watcher, which can drive nothing."""
     link = ServiceLink(settings.service, "check")
     answers: asyncio.Queue[Event] = asyncio.Queue()
     await link.start(answers.put_nowait)

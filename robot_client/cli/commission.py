@@ -1,4 +1,4 @@
-"""`commission`: the first day of a cell, by probes from known errors; a dry run unless --live is typed."""
+"""`commission`: the first day of a cell, by probes from known errors; a dry run without --live."""
 
 import asyncio
 import time
@@ -73,7 +73,7 @@ def _places(of: tuple[tuple[float, float], ...]) -> str:
 
 
 class Felt:
-    """Observer that keeps the one answer of a probe."""
+    """Observer that keeps a probe's one answer."""
 
     def __init__(self) -> None:
         self.answer: wire.Correction | None = None
@@ -91,12 +91,12 @@ class Felt:
             self.ending = f"{event.message.reason}: {event.message.detail}"
 
     def summary(self) -> dict[str, object]:
-        """Nothing that the log lacks."""
+        """Empty: the log has everything."""
         return {}
 
 
 class Probing:
-    """One probe, and the way to the fixture and back, on the devices of the settings."""
+    """One probe, and the way to the fixture and back, on the configured devices."""
 
     def __init__(self, settings: Settings, taught: CycleSettings, out: Path) -> None:
         self._settings, self._taught, self._out = settings, taught, out
@@ -112,12 +112,12 @@ class Probing:
         return Ended(done, state.phase, state.reason, felt.gels)
 
     async def begin(self) -> None:
-        """Raise DriverError where the hand is not empty: what it holds is not the object in the fixture."""
+        """Raise DriverError if the hand is not empty: it does not hold the object of the fixture."""
         if not await self._settings.errands.with_gripper(lambda gripper: is_empty(gripper, self._taught.open_mm)):
             raise DriverError("gripper: holds something; put the object into the fixture and open the fingers")
 
     async def fetch(self) -> None:
-        """Put the object back into the fixture, if it is held, and open; the next probe regrasps it."""
+        """Put the object back into the fixture, if held, and open; the next probe regrasps it."""
         fixture = fixture_of(self._settings)
         assert fixture is not None
         await fixture.put_back()

@@ -1,4 +1,4 @@
-"""`cycle`: parts one after the other, from the pick to the release; rehearses one part unless --live is typed."""
+"""`cycle`: parts one after the other, from the pick to the release; rehearses one part without --live."""
 
 import asyncio
 import contextlib
@@ -23,7 +23,7 @@ from service.contract.frames import Finger
 
 
 def cycle(settings: Settings, *, live: bool, asked: bool, parts_n: int | None, log: Path | None) -> Outcome:
-    """Insert ``parts_n`` parts (None: until stopped); done if none was left undone. Raises DriverError."""
+    """Insert ``parts_n`` parts (None: until stopped); done if every part was inserted. Raises DriverError."""
     taught = settings.cycle
     if taught is None:
         raise SettingsError("cycle: the configuration lacks the table [cycle] with pick and open_mm")
@@ -40,7 +40,7 @@ def cycle(settings: Settings, *, live: bool, asked: bool, parts_n: int | None, l
 
 
 def _rehearse(settings: Settings, taught: CycleSettings) -> Outcome:
-    """Say what would be done; `insert` without --live rehearses the insertion itself."""
+    """Print the planned steps; `insert` without --live rehearses the insertion itself."""
     rejected = f"carry it to {taught.reject.model_dump()}" if taught.reject else "hold with it in the hand"
     steps = [
         f"open to {taught.open_mm:g} mm and go to {taught.pick.model_dump()}",

@@ -1,4 +1,4 @@
-"""`doctor`: names what is wrong on the PC, the network, the controller, the gripper, the cameras, and its remedy."""
+"""`doctor`: names faults of the PC, the network, the controller, the gripper and the cameras, with their remedies."""
 
 import asyncio
 import os
@@ -25,7 +25,7 @@ WIDTH = 80
 
 
 class Row(NamedTuple):
-    """One line of the table; ``remedy`` only where something is wrong."""
+    """One line of the table; ``remedy`` only for a fault."""
 
     area: str
     good: bool
@@ -34,7 +34,7 @@ class Row(NamedTuple):
 
 
 def doctor(config: Path | None, overrides: dict[str, Any], recordings: Path) -> Outcome:
-    """Print the table; done if nothing stands in the way of an insertion. Moves nothing."""
+    """Print the table; done if nothing prevents an insertion. Moves nothing."""
     rows = [_row("pc", finding) for finding in examine_pc(recordings)]
     try:
         settings = load_settings(config, overrides)
@@ -49,7 +49,7 @@ def doctor(config: Path | None, overrides: dict[str, Any], recordings: Path) -> 
 
 
 async def examine(settings: Settings) -> list[Row]:
-    """What every device and the service say of themselves."""
+    """Findings of every device and the service."""
     return [_row(_area(name, finding), finding) async for name, finding in findings_of(settings)]
 
 
@@ -68,7 +68,7 @@ def examine_pc(recordings: Path) -> Iterator[Finding]:
 
 
 def grid(rows: list[Row]) -> Table:
-    """The rows for a terminal, what is wrong first."""
+    """The rows for a terminal, faults first."""
     shown = Table(box=box.SIMPLE, width=_columns(), pad_edge=False)
     for heading in ("", "where", "what", "remedy"):
         shown.add_column(heading, overflow="fold")
@@ -83,12 +83,12 @@ def _columns() -> int:
 
 
 def _plain(text: str) -> str:
-    """Text of a device, which may hold what commands a terminal or marks up a table."""
+    """Text of a device, with terminal control characters and table markup escaped."""
     return printable(text).replace("[", r"\[")
 
 
 def _area(name: str, finding: Finding) -> str:
-    """Where to look: what cannot be reached is a matter of the network, whatever it is."""
+    """Area of a finding: an unreachable device is a matter of the network."""
     text = finding.text.lower()
     answered = re.search(r"http \d", text) is not None
     if (

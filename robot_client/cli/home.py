@@ -1,4 +1,4 @@
-"""`home`: references the gripper on an operator's command; only shown unless --live is typed."""
+"""`home`: references the gripper on an operator's command; only printed without --live."""
 
 import asyncio
 
@@ -9,7 +9,7 @@ from robot_client.settings import Settings
 
 
 def home(settings: Settings, *, acknowledge: bool, direction: HomingDirection, live: bool) -> Outcome:
-    """Reference the gripper, first acknowledging a latched fault if the operator asks for it; raises DriverError."""
+    """Reference the gripper, first acknowledging a latched fault on the operator's request; raises DriverError."""
     if not live:
         steps = (["acknowledge the latched fault"] if acknowledge else []) + [f"home {direction}"]
         print(DRY_RUN)

@@ -1,4 +1,4 @@
-"""`insert`: one insertion, rehearsed unless --live is typed."""
+"""`insert`: one insertion, a rehearsal without --live."""
 
 import asyncio
 from pathlib import Path
@@ -49,9 +49,9 @@ def make_plan(
 
 
 def with_commissioning(settings: Settings, plan: Plan, *, asked: bool) -> Plan:
-    """The plan with the gels of the cell's commissioning; raises SettingsError for a cell that was not commissioned.
+    """The plan with the gels of the cell's commissioning; raises SettingsError for an uncommissioned cell.
 
-    A simulated cell needs none; ``asked`` False for who typed --uncommissioned.
+    A simulated cell needs none; ``asked`` is False with --uncommissioned.
     """
     if settings.simulated or not asked:
         return plan
@@ -64,7 +64,7 @@ def with_commissioning(settings: Settings, plan: Plan, *, asked: bool) -> Plan:
 
 
 def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:
-    """The configured devices and the service; the arm goes as fast as the plan says, for which its lease is made."""
+    """The configured devices and the service; the arm moves at the plan's speed, for which its lease is made."""
     arm = settings.model_copy(update={"ramps": plan.ramps}).make_arm()
     return arm, settings.make_gripper(), ServiceLink(settings.service, plan.insertion_id)
 
@@ -77,7 +77,7 @@ def insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> O
 
 
 def fixture_of(settings: Settings) -> Fixture | None:
-    """Where an object that has turned in the hand is regrasped; None where nobody taught it."""
+    """The fixture for regrasping an object that has turned in the hand; None if it was not taught."""
     taught = settings.cycle
     if taught is None:
         return None

@@ -1,4 +1,4 @@
-"""`jog`: takes the arm to a pose on an operator's command; only shown unless --live is typed."""
+"""`jog`: moves the arm to a pose on an operator's command; only printed without --live."""
 
 import asyncio
 
@@ -11,7 +11,7 @@ from robot_client.settings import Settings
 
 
 def jog(settings: Settings, target: WorkPose, *, live: bool) -> Outcome:
-    """Take the TCP to ``target``: up, over, down, all at travel speed; raises LimitError, DriverError."""
+    """Move the TCP to ``target``: up, over, down, all at travel speed; raises LimitError, DriverError."""
     check_pose(settings.limits, target)
     check_ramps(settings.limits, settings.ramps)
     if not live:

@@ -62,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
 
     def add(name: str, text: str, *options: Callable[[argparse.ArgumentParser], None]) -> argparse.ArgumentParser:
         command = commands.add_parser(name, help=text, description=text)
-        command.add_argument("--json", action="store_true", help="print the result as JSON, all else to stderr")
+        command.add_argument("--json", action="store_true", help="print the result as JSON, all other output to stderr")
         for add_options in options:
             add_options(command)
         return command
@@ -77,7 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     summary = "pick, insert and let go, part after part; only told unless --live is typed"
     cycling = add("cycle", summary, _connection, _mode, _uncommissioned)
-    cycling.add_argument("--parts", type=int, metavar="N", help="stop after so many inserted parts (default: never)")
+    cycling.add_argument("--parts", type=int, metavar="N", help="stop after N inserted parts (default: never)")
     cycling.add_argument("--logs", type=Path, metavar="DIR", help="folder for episode logs (default runs/robot)")
     summary = "probe from known errors: is the cell wired right, and what does it feel?"
     add("commission", summary, _connection, _mode, _commissioning)
@@ -90,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     add("check", "read every device, move nothing, name what is not ready", _connection)
     homing = add("home", "reference the empty gripper", _connection, _mode)
     homing.add_argument(
-        "--acknowledge", action="store_true", help="first clear a latched fault; remove its cause before"
+        "--acknowledge", action="store_true", help="first clear a latched fault, whose cause must be removed"
     )
     homing.add_argument("--direction", choices=get_args(HomingDirection), default="default", help="end stop")
     jogging = add("jog", "take the TCP to a pose of the work object: up, over, down", _connection, _mode)
@@ -107,7 +107,7 @@ def _insertion(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--theta-deg", type=_number, default=0.0, help="start error in yaw (default 0)")
     parser.add_argument("--gap-width-mm", type=_number, help="width of the gap (default 56)")
     parser.add_argument("--expected-depth-mm", type=_number, help="depth of a full insertion below the approach pose")
-    parser.add_argument("--creep-allowance-mm", type=_number, help="how much deeper for a part pushed up in the hand")
+    parser.add_argument("--creep-allowance-mm", type=_number, help="extra depth for a part pushed up in the hand")
     parser.add_argument("--approach-z-mm", type=_number, help="TCP height of the approach pose (default 35)")
     parser.add_argument("--controller", choices=get_args(ControllerName), help="ask the service for this controller")
     parser.add_argument("--insertion-id", help="name of this insertion (default: time and a random suffix)")
@@ -121,24 +121,24 @@ def _mode(parser: argparse.ArgumentParser) -> None:
 
 
 def _commissioning(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--probes", type=int, default=150, metavar="N", help="to learn from, after four for the signs")
+    parser.add_argument(
+        "--probes", type=int, default=150, metavar="N", help="probes to learn from, after four of wiring"
+    )
     parser.add_argument("--presses", action="store_true", help="also press until the gel slides, to identify it")
-    parser.add_argument("--seed", type=int, default=0, help="of the known errors of a new record (default 0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of a new record's known errors (default 0)")
     parser.add_argument("--out", type=Path, default=Path("runs") / "commissioning", help="folder of the record")
 
 
 def _uncommissioned(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--uncommissioned", action="store_true", help="insert although no commissioning says that the cell is right"
-    )
+    parser.add_argument("--uncommissioned", action="store_true", help="insert in a cell without a passed commissioning")
 
 
 def _connection(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", type=Path, help="TOML configuration; see robot_client/README.md")
     parser.add_argument("--service", metavar="URL", help="ws://HOST:PORT/PATH of the decision service")
-    parser.add_argument("--egm-port", type=int, help="UDP port we listen on (the controller's UCdevice sends to it)")
+    parser.add_argument("--egm-port", type=int, help="UDP port to listen on (the controller's UCdevice sends to it)")
     parser.add_argument("--rws-url", metavar="URL", help="http://HOST[:PORT] of the controller")
-    parser.add_argument("--gripper", metavar="HOST:PORT", help="where the gripper is")
+    parser.add_argument("--gripper", metavar="HOST:PORT", help="address of the gripper")
 
 
 _TASK = ("gap_width_mm", "expected_depth_mm", "creep_allowance_mm", "approach_z_mm")
@@ -196,7 +196,7 @@ def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command: 0 done, 1 not done, 2 wrong input, which is one line on stderr."""
+    """Run one command: 0 done, 1 not done, 2 invalid input, with one line on stderr."""
     args = _parser().parse_args(argv)
     try:
         with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():

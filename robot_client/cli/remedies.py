@@ -1,4 +1,4 @@
-"""What to do about a finding. The first pattern that its text holds counts; device and software write these texts."""
+"""Remedies for findings. The first pattern found in the text counts; device and software write these texts."""
 
 import re
 
@@ -41,5 +41,5 @@ REMEDIES: tuple[tuple[str, str], ...] = (
 
 
 def remedy_of(text: str) -> str:
-    """What to do about a finding with this text."""
+    """The remedy for a finding with this text."""
     return next((remedy for pattern, remedy in REMEDIES if re.search(pattern, text, re.IGNORECASE)), GENERAL)

@@ -1,4 +1,4 @@
-"""What the commands share: printing, the warning before a motion, and an end in order when they are interrupted."""
+"""Shared parts of the commands: printing, the warning before a motion, and an orderly end on interruption."""
 
 import asyncio
 import os
@@ -14,17 +14,17 @@ DRY_RUN = "DRY RUN: nothing is connected, nothing moves (type --live to move)."
 
 
 class Outcome(NamedTuple):
-    """How a command ended: whether it did what it was asked to, and the result that ``--json`` prints."""
+    """How a command ended: whether it did its job, and the result that ``--json`` prints."""
 
     done: bool
     result: dict[str, Any]
 
 
 def show(text: str, *, whole: bool = False) -> None:
-    """Print a line, with what would command the terminal written out; devices and services send texts, too.
+    """Print a line, with terminal control characters escaped: devices and services send texts, too.
 
-    It is broken to fit a terminal, less the two columns that `run` needs, unless it is to stay ``whole``. Once the
-    terminal is gone nothing is printed any more, and nothing else changes.
+    It is wrapped to the terminal, less the two columns that `run` needs, unless ``whole``. Once the terminal is gone,
+    nothing is printed any more, and nothing else changes.
     """
     try:
         print(printable(text) if whole else fitted(printable(text), width=WIDTH - 2), flush=True)
@@ -40,7 +40,7 @@ def warning(*, live: bool, simulated: bool) -> str:
 
 
 def rehearsed(heading: str, steps: list[str]) -> Outcome:
-    """Print what a live run would do; done."""
+    """Print the steps of a live run; done."""
     show(heading)
     for step in steps:
         show(f"  {step}")
@@ -48,7 +48,7 @@ def rehearsed(heading: str, steps: list[str]) -> Outcome:
 
 
 def stop_on_signals() -> None:
-    """Ctrl-C, SIGTERM and a terminal that hangs up (but for `nohup`) hold the arm and end the command in order."""
+    """Ctrl-C, SIGTERM and a terminal hang-up (except under `nohup`) hold the arm and end the command in order."""
     task = asyncio.current_task()
     assert task is not None
     loop = asyncio.get_running_loop()

@@ -1,1 +1,1 @@
-"""Grippers, one folder a device, behind the port :class:`robot_client.ports.Gripper`."""
+"""Grippers, one folder per device, behind the port :class:`robot_client.ports.Gripper`."""

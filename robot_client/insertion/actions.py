@@ -1,4 +1,4 @@
-"""The commands of an insertion, each with the state that follows it. Pure, like the machine that uses them."""
+"""The commands of an insertion, each with the resulting state. Pure, like the machine that uses them."""
 
 import math
 from dataclasses import replace
@@ -28,7 +28,7 @@ _CAUSES: dict[str, wire.Cause] = {
     "not_seated": "not_confirmed",
     "not_seen": "not_confirmed",
     "not_confirmed": "not_confirmed",
-    "afresh": "not_confirmed",  # and it cannot be regrasped any more
+    "afresh": "not_confirmed",  # and a regrasp is no longer possible
 }
 _SERVICE_CAUSES: dict[str, wire.Cause] = {
     "link": "link",
@@ -43,7 +43,7 @@ _SERVICE_CAUSES: dict[str, wire.Cause] = {
 
 
 def cause_of(source: Source, code: str) -> wire.Cause:
-    """What a failure is counted as: by its code where that says it, else by who failed."""
+    """The cause that counts for a failure: by its code if that determines it, else by its source."""
     if cause := _CAUSES.get(code) or (_SERVICE_CAUSES.get(code) if source == "service" else None):
         return cause
     return source
@@ -83,7 +83,7 @@ def go(
 
 
 def approach(state: State, at_s: float) -> Result:
-    """Up along the vertical if the arm is below the approach height, over, then down: never sideways down low."""
+    """Up along the vertical if the arm is below the approach height, over, then down: never sideways low down."""
     assert state.pose is not None
     end, here = state.plan.approach, state.pose
     height_mm = max(here.z_mm, end.z_mm)
@@ -92,7 +92,7 @@ def approach(state: State, at_s: float) -> Result:
 
 
 def arm(state: State, target: WorkPose, at_s: float) -> Result:
-    """Stand above the gap at ``target`` (commanded, not measured: no drift adds up) and ask for a reference."""
+    """Stand above the gap at ``target`` (commanded, not measured: no drift accumulates) and request a reference."""
     plan, attempt = state.plan, state.attempt + 1
     message = wire.Arm(
         insertion_id=plan.insertion_id,
@@ -112,7 +112,7 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
 
 
 def descend(state: State, captured_ns: int, at_s: float) -> Result:
-    """Go down on the lease of the reference frame; if that has become too old, on one that is judged after it."""
+    """Descend on the lease of the reference frame; if that has become too old, on one judged after it."""
     state = watched(state, captured_ns, at_s)
     if at_s >= state.until_s:
         return state, ()
@@ -133,7 +133,7 @@ def descend(state: State, captured_ns: int, at_s: float) -> Result:
 
 
 def tell_speed(state: State) -> Result:
-    """Tell the speed that is due, and from where on: networks that read depth need to know it."""
+    """Report the due speed and its starting point: networks that read depth need it."""
     assert state.armed is not None
     assert state.pose is not None
     (_, way_mm, speed_mm_s), *later = state.speeds
@@ -145,26 +145,26 @@ def tell_speed(state: State) -> Result:
 
 
 def watched(state: State, captured_ns: int, at_s: float) -> State:
-    """The state with a judged frame of the service's stamp ``captured_ns``; an older or a repeated one changes nothing.
+    """The state with a judged frame of the service's stamp ``captured_ns``; an older or repeated one changes nothing.
 
-    A stamp that lies ahead of us for certain is of a clock that jumped: it counts for nothing.
+    A stamp that is certainly in the future comes from a clock that jumped, and is ignored.
     """
     captured_s = -math.inf if state.clock is None else state.clock.ours_s(captured_ns, at_s)
     return replace(state, watched_s=captured_s) if state.watched_s < captured_s <= at_s + _AHEAD_S else state
 
 
 def renew(state: State, captured_ns: int, at_s: float) -> Result:
-    """Go on for a judged frame; a lease that ended too long ago is not renewed, however young the frame is."""
+    """Continue on a judged frame; a lease that ended too long ago is not renewed, however recent the frame is."""
     if at_s >= state.until_s + state.plan.pause_s:
         return unwatched(state, at_s)
     newer, stood_s = watched(state, captured_ns, at_s), max(0.0, at_s - state.until_s)
-    if stood_s and newer is not state:  # what lies ahead comes as much later
+    if stood_s and newer is not state:  # the rest of the way comes that much later
         newer = replace(newer, speeds=tuple((due_s + stood_s, way_mm, mm_s) for due_s, way_mm, mm_s in state.speeds))
     return newer, () if newer is state else (Renew(until_s=newer.until_s),)
 
 
 def unwatched(state: State, at_s: float) -> Result:
-    """Hold for good: nobody looks."""
+    """Hold for good: no judged frames arrive."""
     age_ms, allowed_ms = (at_s - state.watched_s) * 1e3, (state.until_s - state.watched_s) * 1e3
     known = "the service's clock is not known" if state.clock is None else f"judged {age_ms:.0f} ms ago"
     if state.clock is not None:
@@ -178,7 +178,7 @@ def hold(state: State, reason: str, at_s: float) -> Result:
 
 
 def lift(state: State, at_s: float) -> Result:
-    """End a probe: straight up, where nothing more is asked for."""
+    """End a probe: straight up."""
     assert state.armed is not None
     return go(state, Phase.RETRACTING, (state.armed,), "retract", at_s)
 

@@ -1,6 +1,6 @@
-"""The input (events) and the output (commands) of an insertion: plain records that an episode log holds as JSON.
+"""Input (events) and output (commands) of an insertion: plain records that an episode log holds as JSON.
 
-``at_s`` is the client's monotonic clock. Non-finite numbers cannot be put into any of them.
+``at_s`` is the client's monotonic clock. None of them accepts non-finite numbers.
 """
 
 from typing import Annotated, Literal
@@ -99,8 +99,8 @@ class Grasp(Contract):
 class Move(Contract):
     """Go to ``target`` in a straight line; the driver answers with Arrived.
 
-    ``until_s``: the lease of a descent, after which the driver itself must let the target stand (None: no lease).
-    ``legs`` of a descent that is not at the probing speed all the way, from top to bottom.
+    ``until_s``: the lease of a descent, after which the driver itself must freeze the target (None: no lease).
+    ``legs``: of a descent with several speeds, from top to bottom.
     """
 
     kind: Literal["move"] = "move"

@@ -16,11 +16,11 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 Reach = Annotated[float, Field(ge=-1e6, le=1e6)]
-"""A kilometre, or a million degrees: larger values are mistakes, and their sums would overflow."""
+"""A kilometre, or a million degrees: larger values are errors, and their sums would overflow."""
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 TOOL_DOWN: Quaternion = (0.0, 1.0, 0.0, 0.0)
-QUATERNION_TOLERANCE = 1e-2  # a real controller rounds; more than this is no rotation
+QUATERNION_TOLERANCE = 1e-2  # a real controller rounds; beyond this it is no rotation
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class WorkPose(Contract):
         return abs(other.yaw_deg - self.yaw_deg)
 
     def towards(self, other: "WorkPose", share: float) -> "WorkPose":
-        """The point at ``share`` (0..1) of the straight way to ``other``, yaw in the same share."""
+        """The point at ``share`` (0..1) of the straight line to ``other``, yaw in the same share."""
         return WorkPose(
             x_mm=self.x_mm + (other.x_mm - self.x_mm) * share,
             y_mm=self.y_mm + (other.y_mm - self.y_mm) * share,

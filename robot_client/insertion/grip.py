@@ -1,4 +1,4 @@
-"""What the gripper's events mean for an insertion. Pure, like the machine that uses them."""
+"""The effect of the gripper's events on an insertion. Pure, like the machine that uses them."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ def on_gripper(state: State, event: Grasped | Width | PartLost) -> Result:
 
 
 def _on_part_lost(state: State, event: PartLost) -> Result:
-    if state.phase is Phase.CLOSING:  # it lies in its gap: letting go of it is no loss
+    if state.phase is Phase.CLOSING:  # it lies in its gap: releasing it is no loss
         return state, ()
     if state.phase is Phase.DESCENDING:
         return hold(replace(state, dropped=True), "part lost", event.at_s)

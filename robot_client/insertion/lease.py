@@ -1,10 +1,10 @@
-"""The motion lease: how long the arm may go on after the last frame that the service judged. Pure, no clock of its own.
+"""The motion lease: how far the arm may go on after the last frame that the service judged. Pure, without a clock.
 
-The bound is a way, not a time: from the capture of the newest judged frame to standstill the arm may go ``travel_mm``.
-What the arm needs to stop is part of it, and so is what is not known of the service's clock.
+The bound is a distance, not a time: from the capture of the newest judged frame to standstill the arm may travel
+``travel_mm``. The arm's stopping distance is part of it, and so is the uncertainty of the service's clock.
 
-At the end of a lease the target stands. A frame that is judged soon after lets it walk on: an eye that blinks costs
-time, not the insertion. Nobody who looks for ``PAUSE_S`` ends the attempt.
+At the end of a lease the target stands. A frame judged soon after lets it move on: a short gap in the pictures costs
+time, not the insertion. ``PAUSE_S`` without a judged frame ends the attempt.
 """
 
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ from robot_client.insertion.limits import LimitError, Motion, Positive
 from service.contract import wire
 from service.contract.frames import Contract
 
-SLOW_MM, FAST_S = 1.5, 0.1  # the largest travel that may be asked for: 1.5 mm, from 15 mm/s on what 0.1 s are
-FRAMES_N, HANDLING_S = 1.5, 0.02  # a lease outlasts so many frame periods, and this much for transport and judging
+SLOW_MM, FAST_S = 1.5, 0.1  # largest travel that may be requested: 1.5 mm, or from 15 mm/s on the travel in 0.1 s
+FRAMES_N, HANDLING_S = 1.5, 0.02  # a lease lasts this many frame periods, plus this time for transport and judging
 PAUSE_S = 0.25  # the target of a descent stands this long without a lease before the arm holds for good
 _DRIFT = 2e-4  # two quartz clocks may drift apart this fast
 _ROUNDING_S = 1e-6
@@ -25,24 +25,24 @@ class Unwatched(LimitError):  # noqa: N818 it says what is, the driver turns it 
 
 
 class Lease(Contract):
-    """``travel_mm`` from a frame's capture to standstill, of which the arm goes on for ``stop_lag_s`` at full speed.
+    """``travel_mm`` from a frame's capture to standstill, including ``stop_lag_s`` at full speed.
 
-    ``stop_lag_s`` is from the last lowered target to standstill: what the arm lags behind its targets, and a cycle.
+    ``stop_lag_s`` is from the last lowered target to standstill: the arm's lag behind its targets, plus a cycle.
     """
 
     travel_mm: Positive = SLOW_MM
     stop_lag_s: Positive = 0.04
 
     def lasts_s(self, speed_mm_s: float) -> float:
-        """How old the newest judged frame may grow while the target still walks at ``speed_mm_s``."""
+        """Largest age of the newest judged frame while the target still moves at ``speed_mm_s``."""
         return self.travel_mm / speed_mm_s - self.stop_lag_s
 
     def at_most(self, speed_mm_s: float) -> "Lease":
-        """This lease, no longer than is allowed at that speed."""
+        """This lease, limited to the largest one allowed at that speed."""
         return self.model_copy(update={"travel_mm": min(self.travel_mm, max(SLOW_MM, FAST_S * speed_mm_s))})
 
     def check(self, speed_mm_s: float) -> None:
-        """Raise LimitError for a travel beyond what any cell may ask for, or a lag that leaves nothing of it."""
+        """Raise LimitError for a travel above the limit of all cells, or a lag that uses up all of it."""
         most_mm = max(SLOW_MM, FAST_S * speed_mm_s)
         if not self.travel_mm <= most_mm:
             where = f"allowed up to {most_mm:g} at {speed_mm_s:g} mm/s"
@@ -52,7 +52,7 @@ class Lease(Contract):
             raise LimitError(f"lease.travel_mm = {self.travel_mm:g} is used up by {lag} at {speed_mm_s:g} mm/s")
 
     def check_rate(self, speed_mm_s: float, camera: wire.CameraEntry) -> None:
-        """Raise LimitError for a camera too slow for this speed: descend slower then, never on a longer lease."""
+        """Raise LimitError for a camera too slow for this speed: descend more slowly then, never on a longer lease."""
         if camera.frame_rate_hz is None:
             return
         needed_s = FRAMES_N / camera.frame_rate_hz + HANDLING_S
@@ -84,7 +84,7 @@ class ClockMap:
         return cls((clock.sent_ns - clock.service_ns) * 1e-9, at_s - clock.service_ns * 1e-9, at_s)
 
     def narrowed(self, other: "ClockMap") -> "ClockMap | None":
-        """Both readings together; None where they contradict each other, because a clock stood still or jumped."""
+        """Both readings combined; None if they contradict each other, because a clock stopped or jumped."""
         drift_s = _DRIFT * max(0.0, other.at_s - self.at_s)
         earliest_s = max(self.earliest_s - drift_s, other.earliest_s)
         latest_s = min(self.latest_s + drift_s, other.latest_s)
@@ -92,9 +92,9 @@ class ClockMap:
 
     @property
     def uncertainty_s(self) -> float:
-        """How much of the offset is not known: the shortest round trip, and the drift since."""
+        """Uncertainty of the offset: the shortest round trip, and the drift since."""
         return self.latest_s - self.earliest_s
 
     def ours_s(self, service_ns: int, at_s: float) -> float:
-        """The earliest that a stamp of the service can be on our clock: the uncertainty is counted as age."""
+        """The earliest time of a service stamp on our clock: the uncertainty is counted as age."""
         return service_ns * 1e-9 + self.earliest_s - _DRIFT * max(0.0, at_s - self.at_s)

@@ -44,7 +44,7 @@ _TOLERANCE = 1.0 + 1e-6
 
 
 def check_pose(limits: Limits, pose: WorkPose, name: str = "target") -> WorkPose:
-    """``pose`` if it lies in the box; raises LimitError otherwise (also for values that are not finite)."""
+    """``pose`` if it lies in the box; raises LimitError otherwise (also for non-finite values)."""
     values = {"x_mm": pose.x_mm, "y_mm": pose.y_mm, "z_mm": pose.z_mm, "yaw_deg": pose.yaw_deg}
     for field_name, value in values.items():
         low, high = getattr(limits, field_name)
@@ -54,7 +54,7 @@ def check_pose(limits: Limits, pose: WorkPose, name: str = "target") -> WorkPose
 
 
 def check_correction(limits: Limits, attempt: int, dx_mm: float, dtheta_deg: float, age_s: float) -> None:
-    """Raise LimitError unless the correction is finite, small enough, young enough and of an allowed attempt."""
+    """Raise LimitError unless the correction is finite, small enough, recent enough and of an allowed attempt."""
     checks = (
         ("correction dx_mm", abs(dx_mm), limits.max_dx_mm),
         ("correction dtheta_deg", abs(dtheta_deg), limits.max_dtheta_deg),
@@ -67,7 +67,7 @@ def check_correction(limits: Limits, attempt: int, dx_mm: float, dtheta_deg: flo
 
 
 def _slows_down(new: tuple[float, ...], old: tuple[float, ...]) -> bool:
-    """True if ``new`` is ``old`` times a factor of 0..1: losing speed, as a stop does, is never refused."""
+    """True if ``new`` is ``old`` times a factor of 0..1: slowing down, as in a stop, is never refused."""
     square = sum(v * v for v in old)
     share = sum(a * b for a, b in zip(new, old, strict=True)) / square if square > 0.0 else 0.0
     return 0.0 <= share <= 1.0 and math.dist(new, [share * v for v in old]) <= 1e-6 * math.sqrt(square)

@@ -50,7 +50,7 @@ __all__ = ["Phase", "Plan", "Result", "State", "Timeouts", "step"]
 
 
 def step(state: State, event: Event) -> Result:
-    """The state after ``event`` and the commands to carry out, in order. Never raises on an event it can be given."""
+    """The state after ``event`` and the commands to carry out, in order. Never raises on any event."""
     if state.done:
         return state, ()
     match event:
@@ -91,7 +91,7 @@ def _on_tick(state: State, event: Tick) -> Result:
 
 
 def _unclaimed(state: State) -> str:
-    """What a failure after the last standstill means: depth alone is no insertion, the gels decide."""
+    """The meaning of a failure after the last standstill: depth alone is no insertion, the gels decide."""
     if state.phase is not Phase.CLOSING:
         return ""
     return "; full depth was reached, but the service did not confirm that the object came along: not claimed"
@@ -130,7 +130,7 @@ def _on_bottom(state: State, event: Arrived) -> Result:
 
 
 def _on_standstill(state: State, event: Standstill) -> Result:
-    """Report the depth; short of it is blocked, and whether full depth is an insertion is for the service to decide."""
+    """Report the depth: short of full depth is blocked; at full depth the service decides on the insertion."""
     assert state.armed is not None
     plan, depth_mm = state.plan, state.armed.z_mm - event.pose.z_mm
     state = replace(state, pose=event.pose, stopped_s=event.at_s)
@@ -155,7 +155,7 @@ def _on_standstill(state: State, event: Standstill) -> Result:
     if outcome == "blocked" and state.attempt >= plan.limits.max_attempts:
         state, commands = fail(state, "client", "attempts", f"not inserted after {state.attempt} attempts")
         return state, (stopped, *commands)
-    if plan.purpose == "probe" and outcome == "inserted":  # nothing was felt, so there is nothing to report
+    if plan.purpose == "probe" and outcome == "inserted":  # no contact, so there is nothing to report
         return lift(state, event.at_s)
     phase, wait_s = (Phase.CLOSING, plan.timeouts.closing_s) if inserted else (Phase.DECIDING, plan.timeouts.deciding_s)
     return replace(state, phase=phase, deadline_s=event.at_s + wait_s), (stopped,)
@@ -223,7 +223,7 @@ def _on_hello(state: State, message: wire.ServiceHello, at_s: float) -> Result:
     except LimitError as error:
         return fail(state, "limits", "camera", str(error))
     state, _ = _on_clock(replace(state, fast=state.plan.bears_fast(message.cameras)), message.clock, at_s)
-    if state.held:  # the gels are under load: only a print that is regular by itself can say that they are touched
+    if state.held:  # the gels are loaded: only a print that is regular by itself can show their touch
         return grasp(state, at_s)
     deadline_s = at_s + state.plan.timeouts.arming_s
     learn = send(wire.LearnOpen(insertion_id=state.plan.insertion_id))
@@ -231,7 +231,7 @@ def _on_hello(state: State, message: wire.ServiceHello, at_s: float) -> Result:
 
 
 def _on_clock(state: State, clock: wire.Clock | None, at_s: float) -> Result:
-    """A reading of both clocks narrows their mapping; that is all a heartbeat is for, it shows no frame."""
+    """A reading of both clocks narrows their mapping; a heartbeat serves only this, it shows no frame."""
     if clock is None:
         return state, ()
     read = ClockMap.read(clock, at_s)
@@ -290,7 +290,7 @@ def _on_correction(state: State, message: wire.Correction, at_s: float) -> Resul
 
 
 def _on_no_decision(state: State, message: wire.NoDecision, at_s: float) -> Result:
-    """Probe the same spot again, the one motion that is no guess; not for ever, and never in a cell that is wrong."""
+    """Probe the same spot again, the only motion without a guess; not for ever, and never in a miswired cell."""
     if state.plan.purpose == "probe":
         return lift(state, at_s)
     count = state.no_decisions + 1

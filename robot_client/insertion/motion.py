@@ -12,11 +12,11 @@ from service.contract.frames import Contract
 
 CYCLE_S = 0.004
 MISSED_CYCLES = 3
-TURN_DEG_S = 55.0  # no ramp turns faster, and the limits allow a little more
-_RESUME_S = 0.05  # after a gap the motion resumes on a ramp as short as this, and no steeper than its own
+TURN_DEG_S = 55.0  # no ramp turns faster, and the limits allow slightly more
+_RESUME_S = 0.05  # after a gap the motion resumes on a ramp of this duration, no steeper than its own
 _SETTLE_MM = 0.03
 _SETTLE_DEG = 0.03
-_STILL_MM = 0.015  # within a window this small for SETTLE_S: standing still
+_STILL_MM = 0.015  # within a window this small for SETTLE_S: at rest
 _STILL_DEG = 0.01
 SETTLE_S = 0.04
 
@@ -32,7 +32,7 @@ class Ramp(Contract):
 
 
 class Ramps(Contract):
-    """How the arm moves in free air, while probing and on the way up. docs/pace.md says why so."""
+    """Ramps of the arm in free air, while probing and on the way up. docs/pace.md gives the reasons."""
 
     travel: Ramp = Ramp(speed_mm_s=80.0, acceleration_mm_s2=300.0, jerk_mm_s3=5000.0)
     descend: Ramp = Ramp(speed_mm_s=5.0, acceleration_mm_s2=100.0, jerk_mm_s3=2000.0)
@@ -46,7 +46,7 @@ class Ramps(Contract):
         return self.profile(start, end, motion).duration_s
 
     def profile(self, start: WorkPose, end: WorkPose, motion: Motion) -> Profile:
-        """Profile over the longer of way (mm) and turn (deg); raises ValueError for a ramp of zero."""
+        """Profile over the longer of distance (mm) and turn (deg); raises ValueError for a ramp of zero."""
         ramp = self.of(motion)
         length = max(start.distance_mm(end), start.turn_deg(end) * max(1.0, ramp.speed_mm_s / TURN_DEG_S))
         return plan_profile(length, ramp.speed_mm_s, ramp.acceleration_mm_s2, ramp.jerk_mm_s3)
@@ -60,7 +60,7 @@ class Ramps(Contract):
 
 
 def check_ramps(limits: Limits, ramps: Ramps) -> None:
-    """Raise LimitError for a ramp that the limits would break off in mid-motion, at full speed."""
+    """Raise LimitError for a ramp that the limits would interrupt in mid-motion, at full speed."""
     for motion in get_args(Motion):
         ramp: Ramp = ramps.of(motion)
         top = limits.max_descent_speed_mm_s if motion == "descend" else limits.max_speed_mm_s
@@ -81,7 +81,7 @@ def check_legs(limits: Limits, motion: Motion, end: WorkPose, legs: tuple[Leg, .
 
 
 class MotionGuide:
-    """Holds the target, walks it along the commanded line and reports when the arm has settled on it."""
+    """Holds the target, moves it along the commanded line and reports when the arm has settled on it."""
 
     def __init__(self, limits: Limits, ramps: Ramps, start: WorkPose) -> None:
         self.limits = limits
@@ -103,7 +103,7 @@ class MotionGuide:
 
     @property
     def moving(self) -> bool:
-        """True while the target walks."""
+        """True while the target moves."""
         return self._profile is not None
 
     @property
@@ -114,8 +114,8 @@ class MotionGuide:
     def move(self, end: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
         """Begin a straight move to ``end``; raises LimitError and changes nothing if the end is not allowed.
 
-        A descent walks only before ``until_s``, on the clock that :meth:`advance` is told, and has to have one. With
-        ``legs`` it is that fast on each of them.
+        A descent moves only before ``until_s``, on the clock passed to :meth:`advance`, and requires it. ``legs`` give
+        its speed on each of them.
         """
         check_leased(motion, until_s)
         check_pose(self.limits, end)
@@ -129,19 +129,19 @@ class MotionGuide:
         self._waiting, self._still, self._paused_s = "arrived", None, None
 
     def _resumes_in_s(self, fastest_mm_s: float) -> float:
-        """How long the move takes to gain its speed again: as its own ramp does, and with it within the limits."""
+        """Time in which the move regains its speed: as on its own ramp, and thus within the limits."""
         ramp = self.ramps.of(self._motion)
         most = min(self.limits.max_acceleration_mm_s2, self.limits.max_turn_acceleration_deg_s2)
         spare = max(most - ramp.acceleration_mm_s2, 0.01 * most)
         return max(_RESUME_S, max(ramp.speed_mm_s, fastest_mm_s) / min(spare, ramp.acceleration_mm_s2))
 
     def renew(self, until_s: float) -> None:
-        """The descent under way may walk until then."""
+        """Let the descent under way move until then."""
         if self._until_s is not None:
             self._until_s = max(self._until_s, until_s)
 
     def hold(self) -> None:
-        """Freeze the target where it is and report when the arm stands; idempotent."""
+        """Freeze the target in place and report when the arm is at rest; idempotent."""
         if self._waiting != "standstill":
             self._still = None
         self._profile = None
@@ -150,10 +150,10 @@ class MotionGuide:
     def advance(self, elapsed_s: float, now_s: float) -> WorkPose:
         """Target after ``elapsed_s``; raises LimitError (target unchanged) if it may not be sent.
 
-        The target stands while the lease of a descent is over at ``now_s`` (``time.monotonic``); Unwatched is raised
-        once it has been for PAUSE_S.
+        The target stands while the lease of a descent is over at ``now_s`` (``time.monotonic``); after PAUSE_S of that,
+        Unwatched is raised.
 
-        Over a gap of more than MISSED_CYCLES the target takes their way at most, then gains speed on a ramp.
+        Over a gap of more than MISSED_CYCLES the target advances by their travel at most, then regains speed on a ramp.
         """
         if self._profile is None or elapsed_s <= 0.0:
             return self.target
@@ -164,7 +164,7 @@ class MotionGuide:
             self._rate = min(self._rate, MISSED_CYCLES * CYCLE_S / elapsed_s)
             self._walked_s += elapsed_s * self._rate
         else:
-            # The speed grows during the step, not after it: else a long step before a short one is a jolt.
+            # The speed grows during the step, not after it: otherwise a long step before a short one is a jolt.
             before, self._rate = self._rate, min(1.0, self._rate + elapsed_s / self._resume_s)
             self._walked_s += elapsed_s * (before + self._rate) / 2.0
         share = self._profile.position(self._walked_s) / self._profile.length if self._profile.length > 0 else 1.0
@@ -175,7 +175,7 @@ class MotionGuide:
         return self.target
 
     def _pause(self, since_s: float, now_s: float) -> WorkPose:
-        """Stand; renewals that come too late to walk on do not make the pause longer."""
+        """Stand; renewals that come too late to move on do not prolong the pause."""
         if self._paused_s is None:
             self._paused_s, self._rate = since_s, 0.0
             self.pauses_n += 1
@@ -186,7 +186,7 @@ class MotionGuide:
         return self.target
 
     def observe(self, measured: WorkPose, now_s: float) -> Settled | None:
-        """How the arm has settled, once for each command: "arrived" on its end or "standstill" after a hold."""
+        """How the arm has settled, reported once per command: "arrived" at its end or "standstill" after a hold."""
         if self._waiting is None or self.moving:
             return None
         near = self._still is not None and (

@@ -1,4 +1,4 @@
-"""How fast and how high the arm goes where nothing can be touched: what buys time without a faster touch. Pure.
+"""Speed and height of the arm where no contact is possible: saves time without a faster touch. Pure.
 
 The tops of the blocks lie ``clearance_mm`` below the approach as far as the plan knows, and where attempts stopped.
 Around them a descent keeps the probing speed of ``ramps.descend``. Every leg is leased and watched for slip.
@@ -14,28 +14,29 @@ from service.contract.wire import PRESS_MM
 
 
 class Tops(NamedTuple):
-    """Between which heights of the TCP the object meets the tops of the blocks, mm."""
+    """Heights of the TCP between which the object meets the tops of the blocks, mm."""
 
     low_mm: float
     high_mm: float
 
     def with_stop(self, z_mm: float) -> "Tops":
-        """The same with one more height at which an attempt was stopped."""
+        """The same with one more height at which an attempt stopped."""
         return Tops(min(self.low_mm, z_mm), max(self.high_mm, z_mm))
 
 
 class Pace(Contract):
-    """Where a descent is faster than it probes, and how high the arm goes up in between.
+    """Fast parts of a descent, and the height of the arm between attempts.
 
-    ``fast_mm_s``: speed away from the tops, None for the probing speed all the way, as for one that is no faster than
-    probing. ``fast_travel_mm``: the motion lease of a descent with fast legs, beside ``lease.travel_mm``. ``above_mm``
-    and ``below_mm``: how far around the tops the descent probes. ``lift_mm``: how far above the tops an attempt that
-    ended near them is taken up, None for up to the approach. ``press_mm``: how far an attempt presses after its touch.
+    ``fast_mm_s``: speed away from the tops; None, or a speed no higher than probing: the probing speed all the way.
+    ``fast_travel_mm``: the motion lease of a descent with fast legs, in addition to ``lease.travel_mm``. ``above_mm``
+    and ``below_mm``: range around the tops in which the descent probes. ``lift_mm``: height above the tops to which an
+    attempt that ended near them is raised, None for the approach height. ``press_mm``: press of an attempt after its
+    touch.
     """
 
     fast_mm_s: Positive | None = 10.0
     fast_travel_mm: Positive = 1.5
-    above_mm: float = Field(default=2.0, ge=1.0)  # how well the tops are known, and what an object is pressed by
+    above_mm: float = Field(default=2.0, ge=1.0)  # uncertainty of the tops, and the press of an object
     below_mm: float = Field(default=4.0, ge=3.0)
     lift_mm: float | None = Field(default=3.0, ge=2.0)
     press_mm: float = Field(default=PRESS_MM, ge=0.6, le=3.0)  # as in the message `arm`
@@ -47,7 +48,7 @@ class Pace(Contract):
             raise LimitError(f"pace.fast_mm_s = {self.fast_mm_s:g}, {allowed}")
 
     def legs(self, start_mm: float, end_mm: float, probing_mm_s: float, tops: Tops) -> tuple[Leg, ...]:
-        """The legs of a descent between two heights, slow around the tops; none where it is slow all the way."""
+        """The legs of a descent between two heights, slow around the tops; none if it is slow all the way."""
         if self.fast_mm_s is None or self.fast_mm_s <= probing_mm_s:
             return ()
         ways = (
@@ -63,9 +64,9 @@ class Pace(Contract):
         return () if all(speed_mm_s == probing_mm_s for _, speed_mm_s in legs) else tuple(legs)
 
     def up_to_mm(self, approach_mm: float, planned: Tops, tops: Tops, stop_mm: float) -> float:
-        """The height that an attempt stopped at ``stop_mm`` is taken up to before it is moved sideways.
+        """The height to which an attempt stopped at ``stop_mm`` is raised before it is moved sideways.
 
-        ``planned``: where the plan has the tops. An object that went well below them stands between the blocks.
+        ``planned``: the plan's position of the tops. An object that went well below them stands between the blocks.
         """
         if self.lift_mm is None or stop_mm < planned.low_mm - self.below_mm:
             return approach_mm
@@ -73,4 +74,4 @@ class Pace(Contract):
 
 
 ONE_SPEED = Pace(fast_mm_s=None, lift_mm=None)
-"""Down at the probing speed all the way, and up to the approach."""
+"""Down at the probing speed all the way, and up to the approach height."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Way ``length`` (any unit) covered from rest to rest; ``ramp_s`` of constant jerk, ``rise_s`` to full speed."""
+    """Distance ``length`` (any unit), from rest to rest; ``ramp_s`` of constant jerk, ``rise_s`` to full speed."""
 
     length: float
     jerk: float
@@ -22,7 +22,7 @@ class Profile:
         return 2.0 * self.rise_s + self.cruise_s
 
     def position(self, time_s: float) -> float:
-        """Way covered at ``time_s``; 0 before the start, ``length`` after the end; raises ValueError on NaN."""
+        """Distance covered at ``time_s``; 0 before the start, ``length`` after the end; raises ValueError on NaN."""
         if math.isnan(time_s):
             raise ValueError("position asked for at a time that is no number")
         if time_s <= 0.0:
@@ -43,7 +43,7 @@ class Profile:
 
 
 def _risen(time_s: float, jerk: float, ramp_s: float, rise_s: float) -> float:
-    """Way that a speed from rest covers while it rises for ``rise_s``."""
+    """Distance covered while the speed rises from rest for ``rise_s``."""
     if time_s <= ramp_s:
         return jerk * time_s**3 / 6.0
     if time_s <= rise_s - ramp_s:
@@ -83,7 +83,7 @@ def plan_profile(length: float, speed: float, acceleration: float, jerk: float) 
 
 @dataclass(frozen=True, slots=True)
 class _Stretch:
-    """Part of a way: from one speed to another on an S, or at one speed."""
+    """Part of a distance: from one speed to another on an S, or at one speed."""
 
     before: float
     after: float
@@ -104,7 +104,7 @@ class _Stretch:
 
 @dataclass(frozen=True, slots=True)
 class LegsProfile:
-    """Way ``length`` from rest to rest in one go, at other speeds on other legs of it."""
+    """Distance ``length`` from rest to rest in one motion, with different speeds on its legs."""
 
     length: float
     stretches: tuple[_Stretch, ...]
@@ -115,7 +115,7 @@ class LegsProfile:
         return sum(stretch.duration_s for stretch in self.stretches)
 
     def position(self, time_s: float) -> float:
-        """Way covered at ``time_s``; 0 before the start, ``length`` after the end; raises ValueError on NaN."""
+        """Distance covered at ``time_s``; 0 before the start, ``length`` after the end; raises ValueError on NaN."""
         if math.isnan(time_s):
             raise ValueError("position asked for at a time that is no number")
         way, left_s = 0.0, max(0.0, time_s)
@@ -126,7 +126,7 @@ class LegsProfile:
         return self.length
 
     def speeds(self) -> list[tuple[float, float, float]]:
-        """(time, way, speed): what the speed is by and large from there on, a change of it being told at its middle."""
+        """(time, distance, speed): the approximate speed from there on, a change of it being placed at its middle."""
         changes: list[tuple[float, float, float]] = []
         at_s = 0.0
         for stretch in self.stretches:
@@ -138,14 +138,14 @@ class LegsProfile:
 
 
 Leg = tuple[float, float]
-"""Way and top speed of a leg."""
+"""Length and top speed of a leg."""
 
 
 def plan_legs(legs: Sequence[Leg], acceleration: float, jerk: float) -> LegsProfile:
-    """In one go from rest to rest, nowhere faster than the leg there: speed changes within the faster of two legs.
+    """One motion from rest to rest, nowhere faster than the leg there: speeds change within the faster of two legs.
 
-    A leg too short for that becomes one with its slower neighbour. Raises ValueError for a way, a speed or a limit that
-    is not finite and above 0.
+    A leg too short for that is merged with its slower neighbour. Raises ValueError for a length, a speed or a limit
+    that is not finite and above 0.
     """
     if not legs or not all(math.isfinite(v) and v > 0.0 for v in (*itertools.chain(*legs), acceleration, jerk)):
         raise ValueError(f"legs {list(legs)} at {acceleration}, {jerk}: expected finite ways and limits above 0")
@@ -168,7 +168,7 @@ def _merged(legs: Sequence[Leg], place: int) -> list[Leg]:
 
 
 def _across(leg: Leg, enters: float, leaves: float, acceleration: float, jerk: float) -> list[_Stretch] | None:
-    """Over a leg as fast as may be; None where it is too short to change its speed."""
+    """Over a leg as fast as possible; None if it is too short to change its speed."""
     way, top = leg
 
     def changes(peak: float) -> tuple[_Stretch, _Stretch]:

@@ -1,4 +1,4 @@
-"""Where the seconds of an insertion went: by what the client waited for, from the approach to the end. Pure."""
+"""Time budget of an insertion: by what the client waited for, from the approach to the end. Pure."""
 
 from dataclasses import dataclass, field
 
@@ -25,10 +25,11 @@ PARTS = (
 
 @dataclass(slots=True)
 class Seconds:
-    """Adds up the time in each phase as events come by; ``spent`` s by the names of PARTS.
+    """Adds up the time in each phase from the events; ``spent`` s by the names of PARTS.
 
-    A fast leg of a descent counts as fast from the middle of the change to its speed. Of a decision, "decide" is what
-    came after the last frame that it read, as far as the service told. AFRESH is for whoever puts the object back.
+    A fast leg of a descent counts as fast from the middle of the change to its speed. In a decision, "decide" is the
+    time after the last frame that it read, as far as the service reports it. AFRESH is the time of putting an object
+    back.
     """
 
     spent: dict[str, float] = field(default_factory=lambda: dict.fromkeys(PARTS, 0.0))

@@ -1,4 +1,4 @@
-"""What an insertion has to do (Plan) and what it remembers (State)."""
+"""An insertion's task (Plan) and its memory (State)."""
 
 import math
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ from service.contract.frames import Contract, Finger
 
 
 class Phase(StrEnum):
-    """Where an insertion stands."""
+    """Phase of an insertion."""
 
     START = "start"
     GREETING = "greeting"
@@ -40,11 +40,11 @@ class Phase(StrEnum):
 TERMINAL = frozenset({Phase.INSERTED, Phase.PROBED, Phase.FAILED})
 REFUSED = "service: refused: turned_in_hand:"
 TURNED = (REFUSED, "service: afresh:")
-SLOWEST_MM_S = 4.0  # after an object has turned; slower, 120 frames a second lie closer than networks were trained on
+SLOWEST_MM_S = 4.0  # after an object has turned; more slowly, frames at 120 Hz are closer together than in training
 
 
 class Timeouts(Contract):
-    """How long each phase may last; ``motion_s`` is added to the planned time of a move."""
+    """Largest duration of each phase; ``motion_s`` is added to the planned time of a move."""
 
     greeting_s: Positive = 10.0
     grasping_s: Positive = 15.0
@@ -58,17 +58,16 @@ class Timeouts(Contract):
 class Plan(Contract):
     """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
 
-    ``continues``: the insertion that this one goes on with, the object regrasped. ``fixture``: whether there is
-    one where an object that has turned in the hand is regrasped.
+    ``continues``: the insertion that this one continues, with the object regrasped. ``fixture``: whether there is one
+    for regrasping an object that has turned in the hand. ``gels``: gels with which the cell was commissioned.
 
-    ``gels``: which gels the cell was commissioned with.
-    ``pause_s``: how long a descent whose lease has ended may be taken up again; 0 where the arm cannot stand and go on.
-    A probe ends above the gap again after its first decision, whatever that is: it moves by no correction.
-    ``until_slip``: a probe that presses on until the gel slides, to learn what the gel is like.
+    ``pause_s``: time within which a descent whose lease has ended may be resumed; 0 if the arm cannot stop and go on. A
+    probe ends above the gap again after its first decision, whatever that is: it follows no correction. ``until_slip``:
+    a probe that presses on until the gel slides, to identify the gel.
 
-    ``creep_allowance_mm``: how much deeper than ``expected_depth_mm`` the TCP may go where earlier attempts pushed the
-    object up in the hand, so that its bottom gets as deep as it should. 0: never deeper. ``clearance_mm``: the object's
-    bottom above the blocks' tops at the approach, as far as that is known.
+    ``creep_allowance_mm``: extra depth of the TCP below ``expected_depth_mm`` where earlier attempts pushed the object
+    up in the hand, so that its bottom gets to full depth. 0: none. ``clearance_mm``: the object's bottom above the
+    blocks' tops at the approach, as far as known.
     """
 
     insertion_id: wire.InsertionId
@@ -121,7 +120,7 @@ class Plan(Contract):
         return min(lasts_s, self.fast_lease.lasts_s(self.pace.fast_mm_s))
 
     def check_camera(self, camera: wire.CameraEntry) -> None:
-        """Raise LimitError for a camera too slow for the descent, or behind a gel that nobody commissioned."""
+        """Raise LimitError for a camera too slow for the descent, or behind a gel that was not commissioned."""
         self.lease.check_rate(self.ramps.descend.speed_mm_s, camera)
         if self.gels and camera.gel != self.gels.get(camera.finger):
             raise LimitError(
@@ -129,9 +128,9 @@ class Plan(Contract):
             )
 
     def bears_fast(self, cameras: Iterable[wire.CameraEntry]) -> bool:
-        """Whether the cameras give frames enough for the fast legs; else a descent is slow all the way.
+        """Whether the cameras' rate suffices for the fast legs; else a descent is slow all the way.
 
-        It is so, too, with an arm that cannot stand and go on: such a one has one speed.
+        The same applies to an arm that cannot stop and go on: it has only one speed.
         """
         if self.pace.fast_mm_s is None or not self.pause_s:
             return False
@@ -149,21 +148,21 @@ class Plan(Contract):
 
     @property
     def deepest(self) -> WorkPose:
-        """The lowest pose below the approach that a descent may ever end at."""
+        """The lowest pose below the approach at which a descent may ever end."""
         return self.approach.at_height(self.approach.z_mm - self.expected_depth_mm - self.creep_allowance_mm)
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Everything the machine remembers. ``pose`` is the last pose that the arm was sent to or measured at.
+    """Everything the machine remembers. ``pose`` is the last commanded or measured pose of the arm.
 
-    ``first_touch_mm`` is the depth at which the first blocked attempt stopped, ``creep_mm`` how much deeper the last
-    one did: the object stood on the blocks at both, so it has been pushed up in the hand by about that much.
-    ``held``: the gripper held something when the insertion began. ``width_mm``: how far apart its fingers are, as far
-    as it tells. ``watched_s``: the earliest that the newest judged frame can have been captured, on our clock.
-    ``tops``: where the blocks' tops are by the plan and by the attempts up to now. ``fast``: the cameras' rate bears
-    the fast legs. ``speed_mm_s`` of the descent under way, ``speeds``: when (``at_s``) and
-    after which way (mm) it goes on at which, mm/s.
+    ``first_touch_mm`` is the depth at which the first blocked attempt stopped, ``creep_mm`` the additional depth of the
+    last one: the object stood on the blocks at both, so it has been pushed up in the hand by about that much. ``held``:
+    the gripper held something when the insertion began. ``width_mm``: distance of its fingers, as far as it reports it.
+    ``watched_s``: the earliest possible capture of the newest judged frame, on our clock. ``tops``: positions of the
+    blocks' tops by the plan and by the attempts so far. ``fast``: the cameras' rate suffices for the fast legs.
+    ``speed_mm_s``: of the descent under way; ``speeds``: time (``at_s``), distance (mm) and value (mm/s) of its
+    changes.
     """
 
     plan: Plan
@@ -190,24 +189,24 @@ class State:
 
     @property
     def until_s(self) -> float:
-        """When the target of a descent must stand still unless a newer frame is judged."""
+        """The time at which the target of a descent must stop unless a newer frame is judged."""
         return self.watched_s + self.plan.lasts_s(fast=self.fast)
 
     @property
     def done(self) -> bool:
-        """True once no command follows any more."""
+        """True once no command follows."""
         return self.phase in TERMINAL
 
     @property
     def tried_n(self) -> int:
-        """Attempts in which the arm went down: one that was refused is none."""
+        """Attempts in which the arm descended; a refused one does not count."""
         return self.attempt - self.reason.startswith(REFUSED)
 
     def afresh(self, insertion_id: wire.InsertionId) -> Plan | None:
-        """How to go on once the object was put back and taken upright: from where it stood, with the attempts left.
+        """The plan after a regrasp from the fixture: from the object's last position, with the remaining attempts.
 
-        Slower than before around the blocks' tops: the way that the arm goes on after its contact is what turned the
-        object. None where the insertion did not end because the object had turned in the hand, or no attempt is left.
+        It is slower than before around the blocks' tops, because the overtravel after contact is what turned the
+        object. None if the insertion did not end because the object had turned in the hand, or no attempt is left.
         """
         tried_n, plan = self.tried_n, self.plan
         left_n = plan.limits.max_attempts - tried_n
@@ -229,5 +228,5 @@ class State:
 
     @property
     def bottom_mm(self) -> float:
-        """Depth of the next descent below the armed pose, with the object's creep as far as allowed."""
+        """Depth of the next descent below the armed pose, including the object's creep as far as allowed."""
         return self.plan.expected_depth_mm + min(self.creep_mm, self.plan.creep_allowance_mm)

@@ -1,1 +1,1 @@
-"""Arms, one folder a device, behind the port :class:`robot_client.ports.Arm`."""
+"""Arms, one folder per device, behind the port :class:`robot_client.ports.Arm`."""

@@ -1,4 +1,4 @@
-"""An object that has turned in the hand goes back into its fixture, is picked upright, and the insertion continues."""
+"""Regrasp: an object turned in the hand goes back into its fixture, is picked upright, and the insertion continues."""
 
 import secrets
 import time
@@ -13,7 +13,7 @@ from robot_client.session.travel import Errands, over_to, straight_up
 
 @dataclass(frozen=True, slots=True)
 class Fixture:
-    """Where objects are taken from. ``open_mm``: how far the fingers open there."""
+    """The fixture of the objects. ``open_mm``: opening of the fingers there."""
 
     pick: WorkPose
     open_mm: float
@@ -30,10 +30,10 @@ class Fixture:
 async def upright(
     plan: Plan, run: Callable[[Plan], Awaitable[State]], fixture: Fixture | None, show: Callable[[str], None]
 ) -> State:
-    """Run an insertion, again with the object regrasped as often as it has turned in the hand.
+    """Run an insertion, regrasping the object as often as it has turned in the hand.
 
-    The state at the end counts the attempts of all of them; together they are no more than the plan allows. Without a
-    fixture the first one is the last. Raises DriverError or LimitError where the arm cannot get there.
+    The final state counts the attempts of all of them; together they stay within the plan's limit. Without a fixture
+    there is only the first one. Raises DriverError or LimitError if the arm cannot get there.
     """
     plan, tried_n = plan.model_copy(update={"fixture": fixture is not None}), 0
     while True:

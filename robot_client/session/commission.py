@@ -1,8 +1,8 @@
-"""The first day of a cell: probes whose error is known, first to see that it is wired as it says, then to learn from.
+"""The first day of a cell: probes with known errors, first to check its wiring, then to learn from.
 
 A probe is a guarded descent from a known error that ends with its first decision; nothing is inserted. All limits, the
-motion lease and every fault of an insertion hold for it. What was seen is kept after each probe, so that an interrupted
-commissioning goes on where it was: at most the probe under way is lost.
+motion lease and every fault of an insertion apply to it. Results are stored after each probe, so that an interrupted
+commissioning resumes: at most the probe under way is lost.
 """
 
 import asyncio
@@ -27,25 +27,25 @@ from service.contract.frames import Contract, ContractError, Finger, first_error
 from service.contract.words.wiring import WIRINGS
 
 SIDES = ((8.0, 8.0), (-8.0, -8.0), (8.0, -8.0), (-8.0, 8.0))
-"""Where the cell is asked for signs: mm and deg. Straight above the edges, a yaw to either side looks alike."""
+"""Errors of the wiring check: mm and deg. Straight above the edges, a yaw to either side looks alike."""
 PRESSES = ((0.0, 15.0), (0.0, -15.0))
-"""Where the gel is asked for what it is like: turned, an object lies on both sides of its gap, pushed straight up."""
+"""Errors of the presses that identify the gel: a turned object lies on both blocks and is pushed straight up."""
 REACH = (15.0, 15.0)
-"""How far off probes to learn from begin at most: as far as the released networks were trained."""
+"""Largest errors of probes to learn from: the training range of the released networks."""
 FITS = (2.5, 3.0)
-"""About what goes in: no probe begins there."""
-CLEAR_SHARE = 0.2  # of what is told, below which estimates show no sign
-LEAST_TURN_DEG, LIKE, LEAST_TURNS, ALIKE = 0.03, 0.5, 2, 0.5  # turns of like size, and their share that goes with x
+"""Approximate errors that insert: no probe begins there."""
+CLEAR_SHARE = 0.2  # share of the known error below which estimates show no sign
+LEAST_TURN_DEG, LIKE, LEAST_TURNS, ALIKE = 0.03, 0.5, 2, 0.5  # turns of similar size, and their share that follows x
 WENT_IN_SIGMA_MM, UNSTATED_SIGMA = 1.5, 5.0
-OFF_MM, OFF_DEG = 5.0, 8.0  # what two opposite sides may be off by together in a cell that is framed right
+OFF_MM, OFF_DEG = 5.0, 8.0  # largest common offset of two opposite sides in a cell with a correct frame
 WENT_IN = "went in without a touch"
 RECORD = "commissioning.json"
 
 
 class Probe(Contract):
-    """One probe: its known error, and what the service made of it (``said`` where it gave no estimate).
+    """One probe: its known error, and the service's result (``said`` if it gave no estimate).
 
-    ``turns_deg``: how far the left and the right finger saw the object turn, clockwise in their pictures.
+    ``turns_deg``: turn of the object as seen by the left and the right finger, clockwise in their pictures.
     """
 
     x_mm: float
@@ -60,10 +60,10 @@ class Probe(Contract):
 
 
 class Record(Contract):
-    """A commissioning as it is kept. ``seed`` decides the errors of all probes, ``named`` are mistakes of the cell.
+    """A stored commissioning. ``seed`` determines the errors of all probes, ``named`` are mistakes of the cell.
 
-    ``gels`` are those of its first probe, as the service names them. ``presses`` went on until the gel slid. ``sha256``
-    is of all the rest, as it was written.
+    ``gels`` are those of its first probe, by the service's names. ``presses`` continued until the gel slid. ``sha256``
+    covers all other fields as written.
     """
 
     version: Literal[1] = 1
@@ -78,14 +78,14 @@ class Record(Contract):
     sha256: str = ""
 
     def digest(self) -> str:
-        """SHA-256 of all that it says."""
-        younger = {"presses"} if not self.presses else set()  # records from before there were any keep their digest
+        """SHA-256 of all other fields."""
+        younger = {"presses"} if not self.presses else set()  # older records without presses keep their digest
         content = self.model_dump(mode="json", exclude={"sha256", *younger})
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 class Ended(NamedTuple):
-    """How a probe ended: what is kept of it, the phase, why if not as it should, and the gels that the service has."""
+    """How a probe ended: its stored form, the phase, the reason if it failed, and the service's gels."""
 
     probe: Probe
     phase: Phase
@@ -94,17 +94,17 @@ class Ended(NamedTuple):
 
 
 def commissioned(path: Path) -> Record:
-    """The record of a cell that may insert; raises ContractError where it was not commissioned, or named mistakes."""
+    """The record of a cell that may insert; raises ContractError for an uncommissioned cell, or named mistakes."""
     record = read_record(path)
     if record is None or len(record.signs) < len(SIDES):
         raise ContractError(f"{path}: this cell was not commissioned to the end; run `commission --live`")
-    if named := record.named or mistakes(record.signs):  # it may have been broken off before they were written
+    if named := record.named or mistakes(record.signs):  # it may have been interrupted before they were written
         raise ContractError(f"{path} names mistakes; mend them and commission again: {'; '.join(named)}")
     return record
 
 
 def read_record(path: Path) -> Record | None:
-    """The record at ``path``, None where there is none yet; raises ContractError for anything else, or if edited."""
+    """The record at ``path``, None if there is none yet; raises ContractError for any other file, or if edited."""
     try:
         record = Record.model_validate_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -119,7 +119,7 @@ def read_record(path: Path) -> Record | None:
 
 
 def keep_record(path: Path, record: Record) -> None:
-    """Write it whole or not at all, with its digest, so that a kill or a power cut leaves what was there before."""
+    """Write it atomically, with its digest, so that a kill or a power cut leaves the previous record."""
     record = record.model_copy(update={"sha256": record.digest()})
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".tmp")
@@ -131,9 +131,9 @@ def keep_record(path: Path, record: Record) -> None:
 
 
 def mistakes(signs: tuple[Probe, ...]) -> tuple[str, ...]:
-    """What is likely wrong with a cell that answered :data:`SIDES` so; nothing in a good one.
+    """The likely mistakes of a cell from its answers to :data:`SIDES`; empty for a good one.
 
-    Some gels do not feel the yaw: that is no mistake. Of x, which turns every object, nothing is a mistake, too.
+    Some gels do not feel the yaw: that is no mistake. Not feeling x, which turns every object, is one.
     """
     if wrong := [probe.said for probe in signs if probe.said.startswith("contradictory")]:
         return tuple(dict.fromkeys(wrong))
@@ -148,7 +148,7 @@ def mistakes(signs: tuple[Probe, ...]) -> tuple[str, ...]:
     causes = []
     if not x[0]:
         causes.append("opposite errors in x give like estimates: the gels do not feel the block")
-    yaws = (theta[0],) if theta and theta[0] else (1, -1) if x[0] < 0 else (1,)  # what is not felt may be either
+    yaws = (theta[0],) if theta and theta[0] else (1, -1) if x[0] < 0 else (1,)  # an axis not felt may be either
     causes += [WIRINGS[x[0], yaw] for yaw in yaws if (x[0], yaw) in WIRINGS]
     if abs(x[1]) > OFF_MM:
         causes.append(f"the tool frame or the fixture is off by about {x[1]:+.1f} mm in x")
@@ -158,14 +158,14 @@ def mistakes(signs: tuple[Probe, ...]) -> tuple[str, ...]:
 
 
 def _felt_x(probe: Probe) -> tuple[float | None, float | None]:
-    """Estimate and sigma of x; what went in was within the gap's clearance."""
+    """Estimate and sigma of x; the error of an inserted probe was within the gap's clearance."""
     if probe.said == WENT_IN:
         return 0.0, WENT_IN_SIGMA_MM
     return probe.estimate_x_mm, probe.sigma_x_mm
 
 
 def _axis(felt: list[tuple[float, float | None, float | None]]) -> tuple[int, float] | None:
-    """Sign (0 where it is not clear) and offset of (error, felt, sigma); None where a side says nothing."""
+    """Sign (0 if unclear) and offset of (error, felt, sigma); None if a side gives no answer."""
     sides: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
     for error, value, sigma in felt:
         if value is not None:
@@ -179,10 +179,10 @@ def _axis(felt: list[tuple[float, float | None, float | None]]) -> tuple[int, fl
 
 
 def _mirrored(signs: tuple[Probe, ...]) -> str:
-    """Which picture is mirrored, if one is; facing each other, the fingers must see opposite turns.
+    """The mirrored picture, if there is one; facing each other, the fingers must see opposite turns.
 
-    A block that pushes up at +x turns the object anticlockwise as the left finger sees it. Turns of unlike size are not
-    of one rigid object: of a narrow contact, too few markers move with it.
+    A block that pushes up at +x turns the object anticlockwise as seen by the left finger. Turns of different size do
+    not belong to one rigid object: with a narrow contact, too few markers move with it.
     """
     turns = [(math.copysign(1.0, probe.x_mm), probe.turns_deg) for probe in signs if probe.turns_deg]
     turns = [
@@ -199,7 +199,7 @@ def _mirrored(signs: tuple[Probe, ...]) -> str:
 
 
 def errors(seed: int, x_mm: float, theta_deg: float, fits: tuple[float, float]) -> Callable[[int], tuple[float, float]]:
-    """Known errors, uniform within +-x_mm and +-theta_deg but for those that fit the gap: of probe ``number``."""
+    """Known error of probe ``number``, uniform within +-x_mm and +-theta_deg except for errors that fit the gap."""
     fits = min(fits[0], 0.5 * x_mm), min(fits[1], 0.5 * theta_deg)
 
     def of(number: int) -> tuple[float, float]:
@@ -214,10 +214,10 @@ def errors(seed: int, x_mm: float, theta_deg: float, fits: tuple[float, float]) 
 
 @dataclass(slots=True)
 class Commissioning:
-    """Carries it out. ``probe`` is one probe from wherever the arm stands, ``fetch`` puts the object back and takes it.
+    """Carries out the commissioning. ``probe`` is one probe from the arm's present pose, ``fetch`` regrasps the object.
 
-    ``press`` is a probe that goes on until the gel slides; only where it is given are there any. ``path`` is the
-    record's; what it holds already is not done again.
+    ``press`` is a probe that goes on until the gel slides; None: no presses. ``path`` is the record's; its probes are
+    not repeated.
     """
 
     path: Path
@@ -230,7 +230,7 @@ class Commissioning:
     _began_s: float = field(default_factory=time.monotonic)
 
     async def run(self, probes_n: int) -> Record:
-        """Signs first; where they are wrong nothing goes on. Raises DriverError where the cell fails or is stopped."""
+        """Wiring check first; if it fails nothing else is done. Raises DriverError if the cell fails or is stopped."""
         try:
             while len(self.record.signs) < len(SIDES):
                 number = len(self.record.signs)
@@ -281,7 +281,7 @@ class Commissioning:
 
 
 def probe_of(plan_id: str, approach: WorkPose, answer: wire.Correction | None, ending: str) -> Probe:
-    """A probe as it is kept; ``ending`` is how it ended without an answer."""
+    """A probe in its stored form; ``ending`` is how it ended without an answer."""
     probe = Probe(x_mm=approach.x_mm, theta_deg=approach.yaw_deg, said=ending, insertion_id=plan_id)
     if answer is None:
         return probe

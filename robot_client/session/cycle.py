@@ -1,7 +1,7 @@
-"""The whole cycle of a packing cell: pick, insert, let go in order, next; each part is an insertion like any other.
+"""The whole cycle of a packing cell: pick, insert, release, next; each part is an ordinary insertion.
 
-Every step connects, does one thing and closes, so that each begins with the checks of its own start. Nothing is opened
-but where that is in order: with an empty hand, after an insertion that is claimed, or above the taught reject pose.
+Every step connects, does one thing and closes, so that each begins with the checks of its own start. The gripper opens
+only when that is safe: with an empty hand, after a claimed insertion, or above the taught reject pose.
 """
 
 import asyncio
@@ -19,7 +19,7 @@ from robot_client.session.travel import Errands, over_to, straight_up
 from service.contract.frames import Contract
 
 PATIENCE_S = 0.1
-OPEN_MM = 1.0  # of the taught width
+OPEN_MM = 1.0  # tolerance of the taught width
 # After these the object is held, nothing is broken, and the arm may carry it away; after all others it holds.
 REJECTED = ("client: attempts:", "service: no_decision:", "service: refused:")
 
@@ -27,7 +27,7 @@ REJECTED = ("client: attempts:", "service: no_decision:", "service: refused:")
 class CycleSettings(Contract):
     """``[cycle]``: taught poses of the TCP and widths. ``reject`` None: hold with the object in the hand.
 
-    ``pick`` is where the fingers close on an object, from a fixture or from a hand. ``retreat_mm`` is straight up.
+    ``pick``: pose in which the fingers close on an object, from a fixture or from a hand. ``retreat_mm``: straight up.
     """
 
     pick: WorkPose
@@ -44,7 +44,7 @@ class CycleHeldError(DriverError):
 
 @dataclass(slots=True)
 class Pace:
-    """What a person has asked for: pause, go on, stop after this part."""
+    """A person's requests: pause, go on, stop after this part."""
 
     paused: bool = False
     ending: bool = False
@@ -89,7 +89,7 @@ class Cycle:
     plc: Handshake | None = None
 
     async def run(self, parts_n: int | None) -> Count:
-        """Until so many parts are inserted, or a person stops it; raises CycleHeldError, DriverError, LimitError."""
+        """Run until ``parts_n`` are inserted, or a person stops it; raises CycleHeldError, DriverError, LimitError."""
         fault = True
         try:
             await self._begin()
@@ -116,7 +116,7 @@ class Cycle:
             )
 
     async def _asked(self) -> bool:
-        """Wait until the next part may begin; False if none is wanted any more."""
+        """Wait until the next part may begin; False if no more are wanted."""
         shown = ""
         while not self.pace.ending:
             waits = "paused" if self.pace.paused else "waiting for the PLC" if self.plc else ""
@@ -147,12 +147,12 @@ class Cycle:
         self.show(f"part {number}: done after {state.attempt} attempt{'s' * (state.attempt != 1)}; {self.count}")
 
     async def _check_stayed(self, number: int) -> None:
-        """An object that came along with the fingers is felt by closing them again."""
+        """Close the fingers again, to feel an object that came along with them."""
         if not await self.errands.with_gripper(lambda gripper: gripper.finds_nothing()):
             raise CycleHeldError(f"part {number}: the object came along with the fingers; it is not in the gap")
 
     async def _reject(self, number: int, state: State) -> None:
-        """Carry away what could not be inserted, if that is taught and in order; raises CycleHeldError otherwise."""
+        """Carry away a part that could not be inserted, if that is taught and safe; raises CycleHeldError otherwise."""
         reject = self.settings.reject
         if reject is None or not state.reason.startswith(REJECTED):
             raise CycleHeldError(f"part {number}: {state.reason or 'not inserted'}")
@@ -172,5 +172,5 @@ class Cycle:
 
 
 async def is_empty(gripper: Gripper, open_mm: float) -> bool:
-    """Fingers as far apart as taught hold nothing; at any other width only closing them shows it."""
+    """At the taught width the fingers hold nothing; at any other width only closing them shows it."""
     return await gripper.width_mm() >= open_mm - OPEN_MM or await gripper.finds_nothing()

@@ -4,7 +4,7 @@ Levels, not pulses, so that neither side can miss one::
 
     client: ready 1 -> PLC: start 1 -> client: ready 0, one part, done 1 (or fault 1) -> PLC: start 0 -> client: done 0
 
-``fault`` stays on: the cycle has ended, and a person starts it again. A PLC pauses a cycle by keeping ``start`` off.
+``fault`` stays on: the cycle has ended, and a person has to restart it. A PLC pauses a cycle by keeping ``start`` off.
 """
 
 import asyncio
@@ -31,13 +31,13 @@ class HandshakeSettings(Contract):
 
 @dataclass(slots=True)
 class Handshake:
-    """One side of the handshake; every method raises DriverError where a signal cannot be read or written."""
+    """One side of the handshake; every method raises DriverError if a signal cannot be read or written."""
 
     settings: HandshakeSettings
     signals: Signals
 
     async def begin(self) -> None:
-        """Outputs off; a PLC that already asks to start is refused, since nobody was ready."""
+        """Switch the outputs off; a PLC that already requests a start is refused, since the client was not ready."""
         names = self.settings
         for name in (names.ready, names.done, names.fault):
             await self.signals.write_signal(name, on=False)
@@ -45,7 +45,7 @@ class Handshake:
             raise DriverError(f"plc: {names.start} is on before {names.ready}; switch it off, then start the cycle")
 
     async def asked(self) -> bool:
-        """Say ready, and whether the PLC asks for a part now."""
+        """Signal ready, and return whether the PLC requests a part now."""
         await self.signals.write_signal(self.settings.ready, on=True)
         await asyncio.sleep(POLL_S)
         return await self.signals.read_signal(self.settings.start)
@@ -54,7 +54,7 @@ class Handshake:
         await self.signals.write_signal(self.settings.ready, on=False)
 
     async def done(self) -> None:
-        """Say done and wait until the PLC has seen it; raises DriverError if it does not within the time."""
+        """Signal done and wait until the PLC has seen it; raises DriverError if it does not within the time."""
         names = self.settings
         await self.signals.write_signal(names.done, on=True)
         try:
@@ -67,7 +67,7 @@ class Handshake:
         await self.signals.write_signal(names.done, on=False)
 
     async def end(self, *, fault: bool) -> None:
-        """No longer ready, and if it ended badly: fault; then close the connection."""
+        """Clear ready and, after a failure, set fault; then close the connection."""
         try:
             await self.busy()
             if fault:

@@ -1,4 +1,4 @@
-"""The episode log: one JSON object a line, every event and every command in order; enough to replay the insertion.
+"""The episode log: one JSON object per line, every event and every command in order; enough to replay the insertion.
 
 First line: the plan. Then ``{"event": ...}`` and ``{"command": ...}`` as they happened; last ``{"end": ...}``.
 """
@@ -19,7 +19,7 @@ LOG_VERSION = 2
 
 
 class Recorder:
-    """Writes one episode; a line is on its way to the disk before the next event is handled.
+    """Writes one episode; a line is flushed before the next event is handled.
 
     A log that cannot be created raises ContractError. A log that cannot be continued (a full disk) ends there, and
     ``lost`` holds the reason: an exception here would end the task that listens for slip.
@@ -64,7 +64,7 @@ class Recorder:
 
 
 def read_log(path: Path) -> tuple[Plan, list[Event | Command], dict[str, Any]]:
-    """Plan, events and commands in order, and the end (empty if the episode was cut); raises ContractError."""
+    """Plan, events and commands in order, and the end (empty if the episode was truncated); raises ContractError."""
     entries: list[Event | Command] = []
     plan: Plan | None = None
     end: dict[str, Any] = {}
@@ -98,7 +98,7 @@ def _lines(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
             data = json.loads(line)
         except json.JSONDecodeError as error:
             if number == len(lines):
-                return  # the client died while it wrote this line; what came before still counts
+                return  # the client died while writing this line; the earlier ones still count
             raise ContractError(f"{path}, line {number}: {error.msg}") from None
         if not isinstance(data, dict):
             raise ContractError(f"{path}, line {number}: expected a JSON object")

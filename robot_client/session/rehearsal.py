@@ -1,7 +1,7 @@
 """The rehearsal: every order, limit and ramp of the real insertion, no device and no network.
 
 The arm follows its targets exactly, faster than real time. Contact is plain geometry (an error larger than the
-clearance blocks), and every decision is the true error times 0.7: the motions shown are those that would be sent.
+clearance blocks), and every decision is the true error times 0.7: the motions shown are those of a live run.
 """
 
 import asyncio
@@ -18,10 +18,10 @@ from robot_client.robots.dry_run.driver import DryArm, Settings
 from service.contract import wire
 from service.contract.replies import clock
 
-_CONTACT_MM = 6.0  # below the approach pose: 5 mm of air and what the pads give
+_CONTACT_MM = 6.0  # below the approach pose: 5 mm of air and the pads' compliance
 _CLEARANCE_MM, _CLEARANCE_DEG = 2.0, 3.0
 _SHARE = 0.7
-_CYCLES_A_FRAME = 8  # 30 frames a second of the arm that is rehearsed
+_CYCLES_A_FRAME = 8  # 30 frames per second of the rehearsed arm
 
 
 def rehearsal_ports(plan: Plan) -> tuple[Arm, Gripper, DecisionService]:
@@ -49,7 +49,7 @@ class DryService:
         self._post = post
 
     def watch(self, pose: WorkPose) -> None:
-        """Take the arm's pose; contact above the gap's blocks is slip."""
+        """Take the arm's pose; contact with the blocks is slip."""
         self._error = pose
         self._targets_n += 1
         if self._watching and self._targets_n % _CYCLES_A_FRAME == 0:
@@ -109,7 +109,7 @@ class DryService:
         )
         return wire.ServiceHello(
             insertion_id=self.insertion_id,
-            clock=clock(message, message.sent_ns or time.monotonic_ns()),  # one process, one clock: nothing to guess
+            clock=clock(message, message.sent_ns or time.monotonic_ns()),  # one process, one clock: no offset
             models=(),
             cameras=(),
             controller="heuristic",

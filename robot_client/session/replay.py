@@ -1,4 +1,4 @@
-"""An episode log played again: the same events through the same machine must give the same commands."""
+"""Replays an episode log: the same events through the same machine must give the same commands."""
 
 from pathlib import Path
 from typing import Any

@@ -107,7 +107,7 @@ class Report:
         self.rows[-1] = self.rows[-1].model_copy(update=values)
 
     def summary(self) -> dict[str, Any]:
-        """The rows and where the time went, for the episode log."""
+        """The rows and the time budget, for the episode log."""
         rows = [row.model_dump(mode="json") for row in self.rows]
         return {"rows": rows, "seconds": {name: round(spent, 3) for name, spent in self.seconds.spent.items()}}
 
@@ -136,7 +136,7 @@ class Report:
 
 
 def _grasp(state: State) -> list[str]:
-    """How far blocked attempts pushed an inserted object up in the hand, where that is worth a line."""
+    """How far blocked attempts pushed an inserted object up in the hand, if it is enough to report."""
     creep_mm, plan = state.creep_mm, state.plan
     if state.phase is not Phase.INSERTED or creep_mm <= plan.depth_tolerance_mm:
         return []

@@ -21,20 +21,20 @@ _TICK_S = 0.02
 
 
 class Observer(Protocol):
-    """Gets every event, for the terminal."""
+    """Receives every event, for the terminal."""
 
     def on_event(self, state: State, event: Event) -> None:
         """``event`` happened; ``state`` is the one after it."""
 
     def summary(self) -> dict[str, Any]:
-        """What it adds to the log's last line."""
+        """Its contribution to the log's last line."""
 
 
 async def to_the_end(work: Coroutine[Any, Any, None], *, interrupted: bool = False) -> None:
-    """Carry out ``work`` to its end, as an interrupt must not break off a stop that is under way.
+    """Carry out ``work`` to its end, because an interrupt must not break off a stop under way.
 
-    Raises CancelledError after it if there was one, as whoever goes on from here would move something again;
-    not where the caller was ``interrupted`` before, and ends anyway.
+    Raises CancelledError afterwards if there was an interrupt, so that the caller moves nothing else; not if the caller
+    was ``interrupted`` before and ends anyway.
     """
     task = asyncio.get_running_loop().create_task(work)
     interrupt = None
@@ -50,7 +50,7 @@ async def to_the_end(work: Coroutine[Any, Any, None], *, interrupted: bool = Fal
 
 @dataclass(slots=True)
 class Runner:
-    """Runs one insertion to its end. Events are handled in the order they come, commands at once, on one event loop."""
+    """Runs one insertion to its end. Events are handled in order of arrival, commands at once, on one event loop."""
 
     plan: Plan
     arm: Arm
@@ -72,13 +72,13 @@ class Runner:
     async def run(self) -> State:
         """From connecting to closing; raises DriverError if a device cannot be made ready (nothing has moved then).
 
-        An interrupt ends the insertion, as an operator's. While it closes by itself one raises CancelledError.
+        An interrupt ends the insertion like an operator's stop. During the closing it raises CancelledError.
         """
         interrupted = False
         try:
             await self.service.start(self.post)
             await self.gripper.start(self.post)
-            if not self.state.done:  # after a failure no motors, no program
+            if not self.state.done:  # after a failure: no motors, no program
                 pose = await self.arm.start(self.post)
                 self.post(Begin(at_s=time.monotonic(), pose=pose, held=self.gripper.held))
             due_s = time.monotonic()
@@ -117,7 +117,7 @@ class Runner:
         for command in commands:
             self.recorder.command(command)
         for observer in self.observers:
-            with contextlib.suppress(OSError):  # a terminal that is gone must not end the task that brought the event
+            with contextlib.suppress(OSError):  # a lost terminal must not end the task that brought the event
                 observer.on_event(self.state, event)
         if self.state.done:
             self._done.set()
@@ -128,7 +128,7 @@ class Runner:
                 case Hold():
                     self.arm.hold(command.reason, stop=command.stop)
                 case Move():
-                    legs = (command.legs,) if command.legs else ()  # an arm with one speed need not know them
+                    legs = (command.legs,) if command.legs else ()  # an arm with one speed need not support them
                     self.arm.move(command.target, command.motion, command.until_s, *legs)
                 case Renew():
                     self.arm.renew(command.until_s)
@@ -140,7 +140,7 @@ class Runner:
             self._events.append(Failure(at_s=time.monotonic(), source="limits", code="move", detail=str(error)))
 
     def _send(self, message: wire.ClientMessage) -> None:
-        """Send a message, after what the robot did up to now and with what it is about to do."""
+        """Send a message, between the robot's past motion and its next one."""
         if isinstance(message, wire.Stopped | wire.Abort):
             self._telemetry.flush()
         self.service.send(message)

@@ -1,7 +1,7 @@
 """The WebSocket to the decision service: one connection is one insertion.
 
-Messages go out in order from a queue; what comes in is parsed strictly and posted as an event. Heartbeats run both
-ways: a service that does not answer them is a lost link, even while TCP still holds.
+Messages go out in order from a queue; incoming ones are parsed strictly and posted as events. Heartbeats run both ways:
+a service that does not answer them is a lost link, even while TCP still holds.
 """
 
 import asyncio
@@ -23,13 +23,13 @@ from service.contract import wire
 from service.contract.frames import Contract, ContractError
 from service.contract.token import TOKEN_FILE, read_token, state_folder
 
-MOST_WAITING = 32  # messages; with as many in the queue the service is told of stops late enough
+MOST_WAITING = 32  # messages; a longer queue would delay reports of stops too much
 
 
 class ServiceSettings(Contract):
-    """Where the service is, what opens it, and how long it may be silent.
+    """Address, token and allowed silence of the service.
 
-    ``token_file`` holds the token for driving; without it, that of a service of this user on this machine is taken.
+    ``token_file`` holds the token for driving; without it, that of this user's service on this machine is used.
     """
 
     url: str = Field(default="ws://127.0.0.1:8000/v1/insertion", pattern=r"^wss?://[^/\s]+(/\S*)?$")
@@ -39,7 +39,7 @@ class ServiceSettings(Contract):
     silence_s: float = Field(default=0.75, gt=0)
 
     def token(self) -> str | None:
-        """The token for driving, None where there is none to be found; raises DriverError where its file is no use."""
+        """The token for driving, None if none is found; raises DriverError if its file is unusable."""
         if self.token_file is None and not _is_here(self.url):
             return None
         try:
@@ -53,7 +53,7 @@ class ServiceSettings(Contract):
 
 
 def _is_here(url: str) -> bool:
-    """Whether a URL leads to this machine: its token is nobody else's business."""
+    """Whether a URL leads to this machine: its token must not go elsewhere."""
     host = urlsplit(url).hostname or ""
     try:
         return ipaddress.ip_address(host).is_loopback
@@ -100,7 +100,7 @@ class ServiceLink:
             self._tasks.append(asyncio.get_running_loop().create_task(work))
 
     def send(self, message: wire.ClientMessage) -> None:
-        """Queue a message; what is only recorded is given up, and counted, where the connection is too slow for it."""
+        """Queue a message; messages only for the recording are dropped, and counted, if the connection is too slow."""
         if isinstance(message, wire.Telemetry):
             if self._outbox.qsize() >= MOST_WAITING:
                 self._left_out_n += len(message.samples)
@@ -113,7 +113,7 @@ class ServiceLink:
         if self._connection is None:
             return
         self._tasks.append(asyncio.create_task(self._outbox.join()))
-        # a sender or receiver that has ended sends nothing any more: what still waits need not be waited for
+        # a sender or receiver that has ended sends nothing more: do not wait for the rest
         await asyncio.wait(self._tasks, timeout=1.0, return_when=asyncio.FIRST_COMPLETED)
         for task in self._tasks:
             task.cancel()
@@ -136,7 +136,7 @@ class ServiceLink:
             self._fail("protocol", f"unreadable message: {error}")
         except ConnectionClosed as error:
             self._fail("link", f"connection lost: {error}")
-        except Exception as error:  # a defect of ours must not leave the arm moving with nobody listening
+        except Exception as error:  # a defect of ours must not leave the arm moving unwatched
             self._fail("internal", f"{type(error).__name__}: {error}")
             raise
 

@@ -1,4 +1,4 @@
-"""What the robot did, for the service's recording of the episode: sampled 50 times a second, sent in small batches."""
+"""The robot's motion, for the service's recording of the episode: sampled 50 times per second, in small batches."""
 
 import platform
 import time
@@ -11,12 +11,12 @@ from robot_client.insertion.state import Plan, State
 from robot_client.ports import Arm
 from service.contract import wire
 
-BATCH_N = 5  # samples; with 50 a second, a crash loses a tenth of a second
+BATCH_N = 5  # samples; at 50 per second, a crash loses a tenth of a second
 
 
 @dataclass(slots=True)
 class Telemetry:
-    """Samples of the arm and the gripper; ``send`` queues a message and never waits, so that no motion does."""
+    """Samples of the arm and the gripper; ``send`` queues a message and never waits, so no motion is delayed."""
 
     plan: Plan
     arm: Arm
@@ -24,7 +24,7 @@ class Telemetry:
     _samples: list[wire.RobotSample] = field(default_factory=list)
 
     def begin(self, start: WorkPose) -> None:
-        """Say what is to be done, from where, and by which client."""
+        """Send the task, the start and the client's version."""
         plan = self.plan
         episode = wire.Episode(
             insertion_id=plan.insertion_id,
@@ -55,7 +55,7 @@ class Telemetry:
             self.flush()
 
     def flush(self) -> None:
-        """Send what was sampled, before a message that may end the insertion."""
+        """Send the pending samples, before a message that may end the insertion."""
         if self._samples:
             taken, self._samples = tuple(self._samples), []
             named, now_ns = self.plan.insertion_id, time.monotonic_ns()

@@ -1,4 +1,4 @@
-"""What happens outside an insertion: the arm goes straight lines in free air, the gripper does one thing."""
+"""Motions outside an insertion: the arm moves along straight lines in free air, the gripper does one thing."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
@@ -12,11 +12,11 @@ from robot_client.ports import Arm, DriverError, Gripper
 from robot_client.session.runner import to_the_end
 
 Way = Callable[[WorkPose], Sequence[tuple[WorkPose, Motion]]]
-"""The corners from where the arm stands, and how to go to each."""
+"""The corners from the arm's present pose, and the motion to each."""
 
 
 def over_to(target: WorkPose) -> Way:
-    """Up or stay, over, then down: never sideways down low."""
+    """Up or stay, over, then down: never sideways near the blocks."""
 
     def way(here: WorkPose) -> Sequence[tuple[WorkPose, Motion]]:
         height_mm = max(here.z_mm, target.z_mm)
@@ -26,15 +26,15 @@ def over_to(target: WorkPose) -> Way:
 
 
 def straight_up(by_mm: float, motion: Motion = "retract") -> Way:
-    """Up along the vertical; slowly, from between what was let go of."""
+    """Up along the vertical; slowly, away from a released object."""
     return lambda here: [(here.at_height(here.z_mm + by_mm), motion)]
 
 
 @dataclass(frozen=True, slots=True)
 class Errands:
-    """What arm and gripper do outside an insertion; each errand connects, does one thing and closes whatever happens.
+    """Motions of arm and gripper outside an insertion; each errand connects, does one thing and always closes.
 
-    ``motion_s`` is added to what each line of a way is planned to take.
+    ``motion_s`` is added to the planned time of each line of a way.
     """
 
     make_arm: Callable[[], Arm]
@@ -44,7 +44,7 @@ class Errands:
     motion_s: float
 
     async def go(self, way: Way, show: Callable[[str], None] = lambda _text: None) -> WorkPose:
-        """Go the way; returns where the arm stands then, measured. ``show`` prints where it begins and how it ended.
+        """Follow the way; returns the arm's final pose, measured. ``show`` prints its start and its end.
 
         Raises LimitError before anything moves if a corner is not allowed, DriverError if the arm fails or is
         interrupted.

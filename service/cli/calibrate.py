@@ -120,7 +120,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument("--json", type=Path, help="with --picture: file for residual_px, rows, columns, found_share")
     parser.add_argument("--sensor", default=DEFAULT_SENSOR, help="name or TOML profile of the sensor (%(default)s)")
-    parser.add_argument("--new-profile", type=Path, metavar="TOML", help="count rows and columns of markers, write this profile")
+    parser.add_argument("--new-profile", type=Path, metavar="TOML", help="count the markers, write this profile")
     parser.add_argument("--pitch-mm", type=float, default=1.5, help="with --new-profile: distance of its markers (1.5)")
     parser.add_argument("--fps", type=int, default=30, help="with --new-profile: frames per second (30)")
     parser.add_argument("--out", type=Path, default=Path("calibration.toml"), help="file to write (calibration.toml)")

@@ -37,10 +37,10 @@ UNKNOWN = np.array([50.0, 50.0])  # one sigma of an estimate without one
 OUTLIERS, RANGE = 0.02, 40.0
 FAR = np.array([15.0, 14.0])  # beyond, the networks often answer with almost no error
 FAR_OUTLIERS, FAR_SIGMA = 0.3, 4.0
-SURE = np.array([2.2, 5.0])  # one sigma. Networks that were so sure once seldom are in doubt in that cell, but for far
+SURE = np.array([2.2, 5.0])  # one sigma. Networks once this certain are seldom in doubt later, except far off
 SURE_SHARE, FAR_SURE_SHARE = 0.85, 0.35
 CHECKED_N = 8  # least larger turn, and the smaller one's least share of it, for a turn that both saw
-TURN_DEG, LIKE = 0.2, 0.5  # of the larger turn, and the smaller one as its share: both fingers saw the object turn
+TURN_DEG, LIKE = 0.2, 0.5  # least larger turn, and least share of the smaller one, of a turn seen by both
 CLEAR_TURN_DEG, CLEARLY_LIKE = 1.0, 0.7
 ONE_SIDED = 2  # turns seen from the same side that refuse a cell; a clear one counts twice
 _STARTS = np.outer(np.where(np.abs(CELLS) <= USUAL, 1.0, WIDE_SHARE), np.abs(CELLS) <= USUAL)

@@ -21,7 +21,7 @@ from service.perception.observation import PairObservation
 
 HELD_SHARE = 0.03  # share of the grasp's capacity: most jams carried 0.04 and more, sliding 0.74, hanging free 0.0001
 NOISE_PITCH = 0.008  # no smaller push counts: the common error of all of a finger's markers
-LASTING = 1 / 3  # of the descent's time: from the blocks' tops on it slides for 0.7; a floor pushes for the last 0.2
+LASTING = 1 / 3  # share of the descent's time: a slide from the tops lasts 0.7, a push from a floor 0.2
 GLITCHES = 0.1  # share of the frames in that time that may show less
 VALID_SHARE = 0.5  # share of a finger's markers
 

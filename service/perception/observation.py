@@ -22,7 +22,7 @@ class Observation:
     - ``slip``: the slip state since the last rearm.
     - ``onset_ns``: capture stamp of the first frame that shows the object's motion, once certain.
     - ``cost_ms``: time of rectification, tracking and slip detection.
-    - ``bulge``: displacement of the markers from the untouched gel over its limit; below 1 nothing touches it, None: unknown.
+    - ``bulge``: displacement of the markers over an untouched gel's limit; below 1 untouched, None: unknown.
     - ``touch``: the same for the whole picture, if the open gel's was learnt; the phases of a grasp follow it.
     - ``weight``: downward displacement of the markers; from 1 on something's weight.
     - ``imprint``: change of the imprint between the markers, if requested.

@@ -47,9 +47,9 @@ class Summary(BaseModel):
 
     @property
     def held_n(self) -> tuple[int, int]:
-        """How many 90 % intervals (of x, and of yaw) held the pose at which the object went in, and how many there are.
+        """Number of 90 % intervals (of x, and of yaw) that held the pose of the insertion, and of all intervals.
 
-        What an error was is known once the object is in: the corrections from then on, reversed, but for the clearance.
+        The error is known once the object is in: the reversed corrections from then on, apart from the clearance.
         """
         held = stated = 0
         if self.outcome != "inserted":

@@ -222,7 +222,7 @@ class Recorder:
                     self._mcap.flush()
                     flushed = time.monotonic()
             except Exception as error:
-                self._stuck = self._stuck or isinstance(error, OSError)  # what cannot be stored for itself ends nothing
+                self._stuck = self._stuck or isinstance(error, OSError)  # a value that cannot be stored ends nothing
                 self.error = self.error or str(error) or type(error).__name__
         self._finish()
 

@@ -83,9 +83,9 @@ class Insertion:
         self._settle()
 
     def _robot(self, message: wire.Telemetry, now: int) -> None:
-        """Record where the robot was, on this machine's clock: what came fastest tells best how far the other is ahead.
+        """Record the robot's pose on this machine's clock; the fastest message gives the best clock offset.
 
-        The error is the time that the fastest message took, a fraction of a millisecond on one machine.
+        The error is the transit time of the fastest message, a fraction of a millisecond on one machine.
         """
         ahead_ns = message.sent_ns - now
         self._client_ahead_ns = max(ahead_ns, self._client_ahead_ns if self._client_ahead_ns is not None else ahead_ns)

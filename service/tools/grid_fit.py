@@ -1,8 +1,8 @@
 """A regular grid seen through a lens: found in one raw frame in spite of debris, flares, missing and merged dots.
 
-Spots linked by topology give a first homography. The frame is then rectified, so that all markers have one size and
-distance, searched again, and matched to the predicted nodes, round by round with a narrower gate. Remaining outliers
-are no markers. Radial terms are included while they lower Schwarz's criterion (BIC, 1978).
+Spots linked by topology give a first homography. The frame is then rectified, so all markers have one size and
+distance, searched again, and matched to the predicted nodes, round by round with a narrower gate. Outliers are no
+markers. Radial terms are included while they lower Schwarz's criterion (BIC, 1978).
 """
 
 from collections.abc import Callable, Iterator
@@ -231,8 +231,7 @@ def _best_model(
 def _warp(flat: Float64, cells: NDArray[np.intp]) -> Warp | None:
     """The warp of grid points ``flat`` [n, 2] to ``cells`` with the best prediction of left-out markers, or None.
 
-    Each marker is left out in turn (for least squares in closed form, by the leverages); a warp must gain a few per
-    cent.
+    Each marker is left out in turn (for least squares in closed form, by the leverages); it must gain a few per cent.
     """
     off = cells - flat
     low, high = cells.min(0).astype(np.float64), cells.max(0).astype(np.float64)

@@ -94,7 +94,7 @@ class Beside:
         self._chances = {}
 
     def went_in(self) -> dict[str, Held]:
-        """The insertion went in: whether the intervals of each version's first answer held the error, now known."""
+        """After success: whether the intervals of each version's first answer held the error, now known."""
         self._came_out(inserted=True)
         if not self._first:
             return {}

@@ -138,7 +138,7 @@ class Store:
                 shutil.rmtree(path, ignore_errors=True)
 
     def forget(self) -> None:
-        """Remove all versions."""
+        """Remove the wiring, as if no version had ever been given."""
         with contextlib.suppress(FileNotFoundError):
             (self.home / WIRING).unlink()
             _sync(self.home)

@@ -104,7 +104,7 @@ class Versions:
         return self._now.active
 
     def beside(self, deciding: ModelSet, limits: Limits, controller: ControllerName) -> Beside | None:
-        """What answers beside the networks that decide an insertion; None where nothing does, or where they are old."""
+        """The versions beside the networks that decide an insertion; None if there are none or they are outdated."""
         wiring, networks = now = self._now
         if not wiring.beside or deciding is not now.active:
             return None

@@ -154,7 +154,7 @@ class LockstepCell:
         Raises PhysicsError when the cell is lost for good.
         """
         self.now_ns += round(1e9 / self.scene.fps)
-        after = self._late_periods % 1.0  # in periods, from the exposure to the arrival of the frame of the same phase
+        after = self._late_periods % 1.0  # in periods, from an exposure to the next arrival of a frame
         self._pass(1.0 - after)
         self.shots.append(self.state)
         if after > 0.0:

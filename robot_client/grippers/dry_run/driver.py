@@ -10,7 +10,7 @@ from robot_client.ports import DeviceSettings, Gripper, Post
 
 
 class Settings(DeviceSettings):
-    """The width that it reports, in mm."""
+    """The reported width, in mm."""
 
     device: Literal["dry_run"] = "dry_run"
     width_mm: float = 50.0  # while it holds
@@ -18,7 +18,7 @@ class Settings(DeviceSettings):
 
 @dataclass(slots=True)
 class DryGripper(Gripper):
-    """Holds as soon as it is asked to."""
+    """Holds an object on request."""
 
     settings: Settings = field(default_factory=Settings)
     _post: Post = field(init=False, repr=False)
@@ -40,7 +40,7 @@ class DryGripper(Gripper):
         return width_mm
 
     async def finds_nothing(self) -> bool:
-        """What was let go of stayed where it is."""
+        """The released object stayed in place."""
         return True
 
     async def close(self) -> None:

@@ -20,7 +20,7 @@ _TRAILER = struct.Struct("<H")
 
 
 class WsgError(ValueError):
-    """Bytes or values that do not belong to the protocol; ``status`` is what a gripper would answer."""
+    """Bytes or values outside the protocol; ``status`` is the gripper's answer to them."""
 
     def __init__(self, text: str, status: Status = Status.CMD_FORMAT_ERROR) -> None:
         super().__init__(text)
@@ -78,7 +78,7 @@ def crc16(data: bytes) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One frame with a right CRC: command id (any u8) and payload."""
+    """One frame with a correct CRC: command id (any u8) and payload."""
 
     command: int
     payload: bytes = b""
@@ -141,7 +141,7 @@ def encode_request(command: Command, *values: Value) -> bytes:
 
 
 def decode_request(frame: Frame) -> Request:
-    """What a gripper reads; raises WsgError whose ``status`` is the answer to send."""
+    """The gripper's side; raises WsgError whose ``status`` is the answer to send."""
     try:
         command = Command(frame.command)
     except ValueError:
@@ -163,7 +163,7 @@ def encode_reply(command: int, status: Status, *values: Value) -> bytes:
 
 
 def decode_reply(frame: Frame) -> Reply:
-    """What a client reads; raises WsgError for an unknown status or parameters of the wrong length."""
+    """The client's side; raises WsgError for an unknown status or parameters of the wrong length."""
     if len(frame.payload) < 2:
         raise WsgError(f"reply 0x{frame.command:02X} of {len(frame.payload)} bytes, expected a status of 2 bytes")
     (code,) = struct.unpack_from("<H", frame.payload)
@@ -184,7 +184,7 @@ def decode_reply(frame: Frame) -> Reply:
 class StreamParser:
     """Finds frames in a TCP byte stream of any segmentation and recovers after garbage or a wrong CRC.
 
-    A candidate is dropped by one byte, not by its claimed length, so a damaged length hides no later frame.
+    On failure only one byte is dropped, not the claimed length, so a damaged length hides no later frame.
     """
 
     skipped_bytes: int = 0
@@ -192,7 +192,7 @@ class StreamParser:
     _buffer: bytearray = field(default_factory=bytearray)
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Every complete frame, in order, that ``data`` finishes."""
+        """All frames that ``data`` completes, in order."""
         self._buffer += data
         return list(self._frames())
 
@@ -201,7 +201,7 @@ class StreamParser:
         del self._buffer[:count]
 
     def _seek(self) -> bool:
-        """Drop what cannot begin a frame; True if a full header lies at the start of the buffer."""
+        """Drop bytes that cannot begin a frame; True if a full header lies at the start of the buffer."""
         while True:
             start = self._buffer.find(PREAMBLE)
             if start < 0:

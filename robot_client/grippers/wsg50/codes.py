@@ -68,7 +68,7 @@ class Command(IntEnum):
 
 
 class HomingDirection(IntEnum):
-    """Which end stop to reference on."""
+    """End stop for referencing."""
 
     DEFAULT = 0
     OUTWARD = 1
@@ -76,7 +76,7 @@ class HomingDirection(IntEnum):
 
 
 class MoveFlag(IntEnum):
-    """Pre-position behaviour. Bit 0 means *relative* to the vendor and is never sent: sources disagree about it."""
+    """Pre-position behaviour. Bit 0 means *relative* to the vendor and is never sent: the sources disagree on it."""
 
     CLAMP_ON_BLOCK = 0x00
     STOP_ON_BLOCK = 0x02

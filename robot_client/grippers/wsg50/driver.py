@@ -1,8 +1,8 @@
 """The WSG-50's binary protocol over TCP: grasp with a force limit, watch the grasp, notice a lost part.
 
-Frames are routed by id: replies to the request that waits for them, auto-updates to the watch. No program ever
-acknowledges a fault: that is an operator's command (`python -m robot_client home --acknowledge`). During an insertion
-the gripper is never stopped: STOP ends its part monitoring; the arm is what stops.
+Frames are routed by id: replies to the waiting request, auto-updates to the watch. No program ever acknowledges a
+fault: that is an operator's command (`python -m robot_client home --acknowledge`). During an insertion the gripper is
+never stopped, because STOP ends its part monitoring; the arm stops instead.
 """
 
 import asyncio
@@ -33,7 +33,7 @@ class GripperError(DriverError):
 
 @dataclass(slots=True)
 class Wsg50(Gripper):
-    """The Gripper port; ``limits`` holds what the gripper allows (0x53) for keys of the settings."""
+    """The Gripper port; ``limits`` holds the gripper's own limits (0x53) for keys of the settings."""
 
     settings: Settings
     state: GraspingState | None = None
@@ -86,7 +86,7 @@ class Wsg50(Gripper):
         self._spawn(self._watch())
 
     async def close(self) -> None:
-        """Announce the disconnect (else the gripper latches a fast stop) and leave; the fingers stay as they are."""
+        """Announce the disconnect (else the gripper latches a fast stop) and leave; the fingers stay in place."""
         self._post = None
         for task in list(self._tasks):
             task.cancel()
@@ -102,7 +102,7 @@ class Wsg50(Gripper):
             await asyncio.gather(self._reader, *self._tasks, return_exceptions=True)
 
     def grasp(self) -> None:
-        """Accept a held object as it is; otherwise close on one with the force limit."""
+        """Accept an object that is already held; otherwise close on one with the force limit."""
         self._spawn(self._grasp())
 
     async def acknowledge(self) -> None:
@@ -126,7 +126,7 @@ class Wsg50(Gripper):
         return await self.width_mm()
 
     async def release(self, width_mm: float) -> float:
-        """Open to ``width_mm``; raises GripperError if the fingers stand elsewhere then, or still hold something."""
+        """Open to ``width_mm``; raises GripperError if the fingers stop elsewhere or still hold something."""
         if fault := self._fault():
             raise GripperError(f"gripper: {fault}; nothing is opened")
         await self._open_fingers(width_mm)
@@ -136,7 +136,7 @@ class Wsg50(Gripper):
         return reached_mm
 
     async def finds_nothing(self) -> bool:
-        """Close as for a grasp: True if that ends without a part; raises GripperError for any other trouble."""
+        """Close as for a grasp: True if that ends without a part; raises GripperError on any other failure."""
         try:
             await self._close_fingers()
         except GripperError:
@@ -193,7 +193,7 @@ class Wsg50(Gripper):
     async def _close_fingers(self) -> None:
         settings = self.settings
         self._check_referenced()
-        for name, (low, high) in self.limits.items():  # out of range it may clamp or latch a fast stop
+        for name, (low, high) in self.limits.items():  # out of range the gripper may clamp or latch a fast stop
             value = getattr(settings, name)
             if not low <= value <= high:
                 raise GripperError(f"gripper: {name} = {value:g}, this gripper allows {low:g} .. {high:g}")
@@ -248,7 +248,7 @@ class Wsg50(Gripper):
         try:
             reply = codec.decode_reply(frame)
         except codec.WsgError:
-            return  # not of this protocol: whoever waits for it times out
+            return  # of another protocol: the waiting request times out
         if reply.command == Command.GRASPING_STATE and reply.values:
             self._silence.heard(time.monotonic())
             self._on_state(float(reply.values[0]))
@@ -278,7 +278,7 @@ class Wsg50(Gripper):
             self._post(Width(at_s=time.monotonic(), width_mm=width_mm))
 
     async def _watch(self) -> None:
-        """Updates of the grasping state are the heartbeat: silence about it is a failure."""
+        """Updates of the grasping state are the heartbeat: their absence is a failure."""
         while True:
             await asyncio.sleep(self.settings.silence_s / 4.0)
             silent_s = self._silence.over(time.monotonic())

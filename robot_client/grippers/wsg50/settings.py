@@ -8,7 +8,7 @@ from robot_client.ports import DeviceSettings
 
 
 class Settings(DeviceSettings):
-    """Where the gripper is and how it grasps. Ranges are checked against the gripper's own limits (0x53)."""
+    """Address of the gripper and its grasp. Ranges are checked against the gripper's own limits (0x53)."""
 
     device: Literal["wsg50"] = "wsg50"
     host: str = "192.168.1.20"

@@ -1,7 +1,7 @@
 """EGM datagrams, both directions: robot state (EgmRobot) and guidance (EgmSensor).
 
-Positions mm, quaternion w, x, y, z (unit), joints deg, speeds mm/s and deg/s, times ms of the sender's clock.
-Decoding refuses what a controller or a guide must not act on: unparsable, oversized, non-finite, no unit quaternion.
+Positions mm, quaternion w, x, y, z (unit), joints deg, speeds mm/s and deg/s, times ms of the sender's clock. Decoding
+refuses datagrams that a controller or a guide must not act on: unparsable, oversized, non-finite, no unit quaternion.
 """
 
 import math
@@ -15,11 +15,11 @@ from robot_client.insertion.geometry import Pose
 from robot_client.robots.abb_egm import tactile_insertion_egm_pb2 as pb
 
 MAX_DATAGRAM_BYTES = 4096
-SAME_TURN_DEG = 0.05  # between Euler angles and a quaternion that say the same, rounded
+SAME_TURN_DEG = 0.05  # between equivalent Euler angles and quaternion, rounded
 
 
 class EgmError(ValueError):
-    """A datagram or a target that does not belong on the wire; the text gives the reason."""
+    """An invalid datagram or target; the text gives the reason."""
 
 
 McState = Literal["undefined", "error", "stopped", "running"]
@@ -34,7 +34,7 @@ _MC_STATES: tuple[McState, ...] = get_args(McState)
 
 @dataclass(frozen=True, slots=True)
 class RobotState:
-    """One EgmRobot message. ``feedback`` is measured, ``planned`` what the controller is heading for."""
+    """One EgmRobot message. ``feedback`` is measured, ``planned`` the controller's present goal."""
 
     sequence: int
     time_ms: int
@@ -174,7 +174,7 @@ def encode_robot(state: RobotState) -> bytes:
 
 
 def decode_robot(datagram: bytes) -> RobotState:
-    """Read EgmRobot bytes; raises EgmError. States that are absent count as off, stopped or undefined."""
+    """Read EgmRobot bytes; raises EgmError. Absent states count as off, stopped or undefined."""
     message = pb.EgmRobot()
     _parse(message, datagram)
     joints = tuple(message.feedBack.joints.joints)

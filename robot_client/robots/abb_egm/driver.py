@@ -1,8 +1,8 @@
 """The arm over EGM position guidance: it answers every datagram of the robot with the next target.
 
-The robot sends first, 250 times a second; only the newest datagram is answered. Targets advance on the
-robot's own clock, so a stalled link stalls the motion and never makes it leap. All trouble ends in a latched hold:
-the target stays frozen, datagrams are still answered with it, and no move is taken any more.
+The robot sends first, 250 times per second; only the newest datagram is answered. Targets advance on the robot's own
+clock, so a stalled link stalls the motion and never makes it leap. Every failure ends in a latched hold: the target
+stays frozen, datagrams are still answered with it, and no move is accepted any more.
 """
 
 import asyncio
@@ -86,12 +86,12 @@ class EgmArm:
         self._guide.move(target, motion, until_s, legs)
 
     def renew(self, until_s: float) -> None:
-        """The descent under way may go on until then: checked before each of the 250 targets a second."""
+        """Let the descent under way go on until then: checked before each of the 250 targets per second."""
         if self._guide is not None:
             self._guide.renew(until_s)
 
     def hold(self, reason: str, *, stop: bool) -> None:
-        """Freeze the target and put it on the wire now, without waiting for the robot's next datagram."""
+        """Freeze the target and send it now, without waiting for the robot's next datagram."""
         begun_ns = time.perf_counter_ns()
         if self._guide is not None:
             self._guide.hold()
@@ -118,11 +118,11 @@ class EgmArm:
         return outcome
 
     def position(self) -> WorkPose | None:
-        """Measured by the newest datagram."""
+        """Pose measured by the newest datagram."""
         return self._measured
 
     def target(self) -> WorkPose | None:
-        """What the last answer asked for."""
+        """Target of the last answer."""
         return None if self._guide is None else self._guide.target
 
     def statistics(self) -> dict[str, Any]:
@@ -139,7 +139,7 @@ class EgmArm:
         return self.rws
 
     def checks(self) -> dict[str, Check]:
-        """The controller's state, and the port that we listen on."""
+        """The controller's state, and our listening port."""
         robot = {} if self.rws is None else {"robot": self.rws.findings}
         return {**robot, "guidance": self._check_port}
 
@@ -151,12 +151,12 @@ class EgmArm:
     # ---- wire -----------------------------------------------------------------------------------------------------
 
     def _on_readable(self) -> None:
-        """Take the newest datagram of those that wait and answer it."""
+        """Take the newest of the waiting datagrams and answer it."""
         received_ns = time.perf_counter_ns()
         newest: bytes | None = None
         assert self._socket is not None
         with contextlib.suppress(BlockingIOError, ConnectionError):
-            for _ in range(64):  # one that sends without end must not keep the loop
+            for _ in range(64):  # an endless sender must not block the loop
                 datagram, address = self._socket.recvfrom(codec.MAX_DATAGRAM_BYTES + 1)
                 if self._is_robot(address):
                     newest = datagram
@@ -197,7 +197,7 @@ class EgmArm:
         self._report(measured, now_s)
 
     def _begin(self, state: codec.RobotState, measured: WorkPose, tilt_deg: float) -> bool:
-        """Begin guidance where the arm stands. Targets are upright, so the first one would turn a tilted tool."""
+        """Begin guidance at the arm's present pose. Targets are upright, so the first one would turn a tilted tool."""
         if not self._watch.ready(state):
             return False
         if tilt_deg > self.limits.max_tilt_deg:
@@ -286,14 +286,14 @@ def _listen(settings: Settings) -> socket.socket:
 
 
 def make(settings: Settings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:
-    """The arm with RWS; only the robot's host, by default the one that RWS names, is given guidance."""
+    """The arm with RWS; only the robot's host, by default the one in the RWS address, receives guidance."""
     if settings.robot_host is None:
         settings = settings.model_copy(update={"robot_host": _address_of(settings.rws.url)})
     return EgmArm(settings, limits, ramps, frame, RwsClient(settings.rws))
 
 
 def _address_of(url: str) -> str | None:
-    """The address of a URL's host, as datagrams carry it; None if it has none; then RWS fails, too."""
+    """The address of a URL's host, as in datagrams; None if it has none; RWS then fails, too."""
     try:
         return socket.gethostbyname(urlsplit(url).hostname or "")
     except OSError:

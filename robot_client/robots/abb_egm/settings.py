@@ -9,7 +9,7 @@ from robot_client.robots.abb_rws.settings import VARIABLES, RwsSettings
 
 
 class Settings(DeviceSettings):
-    """Where we listen, which robot is answered, and how long the stream may be silent or late."""
+    """Our listening address, the robot to answer, and the allowed silence and delay of the stream."""
 
     variables: ClassVar = VARIABLES
     pauses: ClassVar = True

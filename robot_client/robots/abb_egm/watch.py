@@ -11,7 +11,7 @@ _DRIFT = 2e-4  # two quartz clocks may drift apart this fast without a datagram 
 
 
 class StreamFault(Exception):  # noqa: N818 it reports the stream's state, the driver turns it into a Failure event
-    """The stream is not fit to be followed; ``code`` and ``detail`` go into the Failure event."""
+    """The stream must not be followed; ``code`` and ``detail`` go into the Failure event."""
 
     def __init__(self, code: str, detail: str) -> None:
         super().__init__(f"{code}: {detail}")
@@ -47,7 +47,7 @@ class EgmWatch:
         self.not_ready = reason
 
     def take(self, state: RobotState, now_s: float) -> float | None:
-        """Time in s on the robot's clock since the last datagram; None for one that is repeated or out of order."""
+        """Time in s on the robot's clock since the last datagram; None for a repeated or reordered one."""
         if self._sequence is not None and not 0 < (state.sequence - self._sequence) % 2**32 < 2**31:
             self.repeated += 1
             return None
@@ -68,7 +68,7 @@ class EgmWatch:
         return elapsed_s
 
     def ready(self, state: RobotState) -> bool:
-        """True if the controller follows targets; ``not_ready`` names what is missing."""
+        """True if the controller follows targets; ``not_ready`` names the missing condition."""
         self.not_ready = _missing(state)
         return not self.not_ready
 

@@ -1,4 +1,4 @@
-"""The text that our RAPID modules speak on a controller without EGM: requests and answers end with ``#``.
+"""The text protocol of our RAPID modules on a controller without EGM: requests and answers end with ``#``.
 
 Motion port: ``M id x y z q1 q2 q3 q4 speed#`` answered by ``D id#`` (done), ``S id#`` (stopped) or ``E id reason#``.
 Guard port: ``H n#`` alive, ``R n#`` release, ``S n#`` stop, each answered by ``P n x y z q1 q2 q3 q4 moving stop#``.
@@ -16,7 +16,7 @@ MAX_NUMBER = 99_999
 
 
 class RapidTextError(ValueError):
-    """Text that is not of this protocol, or a pose that must not be sent."""
+    """Text outside this protocol, or a pose that must not be sent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ def decode_motion(text: str) -> MotionAnswer:
 
 @dataclass(slots=True)
 class TextParser:
-    """Cuts a TCP stream at ``#``; forgets what grows beyond a RAPID string."""
+    """Splits a TCP stream at ``#``; drops text longer than a RAPID string."""
 
     _rest: str = field(default="")
 

@@ -1,8 +1,8 @@
 """The arm on a controller without EGM: RAPID moves along straight lines, a guard task stops it.
 
-Two connections: motion (one request, one answer when it is over) and guard (position, release, stop, dead man). A hold
-goes to the guard at once and does not wait for the motion server, which is busy moving. If this process falls silent,
-the guard stops the arm by itself. Slower to stop than EGM: the figure to expect is the controller's, not ours.
+Two connections: motion (one request, one answer when it is over) and guard (position, release, stop, dead-man switch).
+A hold goes to the guard at once and does not wait for the motion server, which is busy moving. If this process falls
+silent, the guard stops the arm by itself. Stopping is slower than with EGM; its time depends on the controller.
 """
 
 import asyncio
@@ -45,7 +45,7 @@ class SocketArm:
     _number: int = 0
     _move: int = 0
     _pending: tuple[int, WorkPose, float] | None = None
-    _sent: int | None = None  # a move that the motion server has not answered for
+    _sent: int | None = None  # a move not yet answered by the motion server
     _waiting: Literal["arrived", "fresh position", "standstill"] | None = None
     _asked: int = 0
     _here: WorkPose | None = None
@@ -100,7 +100,7 @@ class SocketArm:
         self._ask_guard("R", self._move)
 
     def renew(self, until_s: float) -> None:
-        """The descent under way may go on until then."""
+        """Let the descent under way go on until then."""
         self._until_s = until_s
 
     def hold(self, reason: str, *, stop: bool) -> None:
@@ -132,7 +132,7 @@ class SocketArm:
         return self._here
 
     def target(self) -> WorkPose | None:
-        """Where the latest move ends: the controller alone knows what it asks for on the way."""
+        """End of the latest move: only the controller knows its targets on the way."""
         return self._target
 
     def statistics(self) -> dict[str, Any]:
@@ -142,7 +142,7 @@ class SocketArm:
         return self.rws
 
     def checks(self) -> dict[str, Check]:
-        """The controller's state; the sockets are only named, since connecting to them is the program's start."""
+        """The controller's state; the sockets are only named, since connecting to them starts the program."""
         robot = {} if self.rws is None else {"robot": self.rws.findings}
         return {**robot, "guidance": self._check_sockets}
 
@@ -174,7 +174,7 @@ class SocketArm:
             self._guard.write(codec.encode_guard(kind, number))
 
     async def _beat(self) -> None:
-        """Ask where the arm is: requests keep the guard's dead man alive, answers our watchdog."""
+        """Ask for the arm's position: requests keep the guard's dead-man switch alive, answers our watchdog."""
         while True:
             await asyncio.sleep(self.settings.poll_s)
             self._ask_guard("H", self._next())
@@ -212,7 +212,7 @@ class SocketArm:
         self._settle(self._here, state)
 
     def _release(self, state: GuardState) -> None:
-        """The guard confirmed that its flag is down for this move: now it may start."""
+        """Start the move: the guard has confirmed that its flag is down for it."""
         if self._pending is None or state.number != self._pending[0] or state.stopped:
             return
         number, target, speed = self._pending

@@ -9,7 +9,7 @@ from robot_client.robots.abb_rws.settings import VARIABLES, RwsSettings
 
 
 class Settings(DeviceSettings):
-    """Where TactileMotion.mod and TactileGuard.mod listen."""
+    """Addresses of TactileMotion.mod and TactileGuard.mod."""
 
     variables: ClassVar = VARIABLES
     device: Literal["abb_rapid"] = "abb_rapid"

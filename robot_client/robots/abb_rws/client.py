@@ -47,7 +47,7 @@ class ControllerStatus(Contract):
 
 
 class RwsClient:
-    """One controller; make it inside the event loop that uses it."""
+    """One controller; create it inside the event loop that uses it."""
 
     def __init__(self, settings: RwsSettings) -> None:
         self.settings = settings
@@ -75,7 +75,7 @@ class RwsClient:
         )
 
     async def findings(self) -> list[Finding]:
-        """Whether the controller would let us start its program; raises RwsError. Moves nothing."""
+        """Whether the controller would allow its program to start; raises RwsError. Moves nothing."""
         status = await self.status()
         motors = status.controller == "motoron" or (status.controller == "motoroff" and self.settings.switch_motors_on)
         return [
@@ -91,7 +91,7 @@ class RwsClient:
         return await self._state("ctrlexecstate")
 
     async def start_program(self) -> None:
-        """Motors on and RAPID running; raises RwsError if the controller is not fit for it or does not follow."""
+        """Motors on and RAPID running; raises RwsError if the controller is not ready for it or does not follow."""
         status = await self.status()
         if status.operating_mode != "AUTO":
             raise RwsError(f"operating mode is {status.operating_mode}, expected AUTO; turn the key switch")
@@ -102,12 +102,12 @@ class RwsClient:
             await self._until("ctrlstate", "motoron", self.settings.motors_timeout_s)
         if status.execution == "running":
             raise RwsError("the RAPID program runs already; stop it, so that guidance starts from a known state")
-        self.started = True  # from here on the program is ours to stop, whatever the answer
+        self.started = True  # from here on we have to stop the program, whatever the answer
         await self._order("start", {**_START, "cycle": self.settings.cycle})
         await self._until("ctrlexecstate", "running", self.settings.start_timeout_s)
 
     async def stop_program(self) -> str:
-        """Ask for a stop and poll until the controller reports it; never raises, returns in words how it ended."""
+        """Request a stop and poll until the controller reports it; never raises, returns in words how it ended."""
         deadline_s = time.monotonic() + self.settings.stop_timeout_s
         asked, last = False, "no answer"
         while time.monotonic() < deadline_s:
@@ -134,7 +134,7 @@ class RwsClient:
     # ---- requests -------------------------------------------------------------------------------------------------
 
     async def generation(self) -> Generation:
-        """Which generation the controller speaks, by how it refuses a request without a password; raises RwsError."""
+        """The controller's generation, by how it refuses a request without a password; raises RwsError."""
         if self._generation is None:
             refusal = await self._exchange("GET", "/rw", headers={"Accept": f"{MEDIA}, */*"})
             generation = next((known for known in GENERATIONS if known.answered(refusal)), None)
@@ -185,13 +185,13 @@ class RwsClient:
             bounded = self._client.request(method, path, **more)
             # httpx bounds each network operation; this bounds the whole exchange, digest round included
             return await asyncio.wait_for(bounded, 2.0 * self.settings.request_timeout_s)
-        except Exception as error:  # not HTTP errors alone: a challenge that httpx does not know is a KeyError
+        except Exception as error:  # not only HTTP errors: a challenge unknown to httpx is a KeyError
             text = f"{method} {path}: {type(error).__name__} {error}".rstrip()
             raise RwsError(text + _advice(error, self.settings.url)) from None
 
 
 def _advice(error: BaseException, url: str) -> str:
-    """What to do about a connection that cannot be made; nothing where that is not known."""
+    """Remedy for a connection that cannot be made; empty if unknown."""
     causes: list[BaseException] = []
     cause: BaseException | None = error
     while cause is not None and cause not in causes:

@@ -1,6 +1,6 @@
-"""What the generations of Robot Web Services have in common, and where they differ: a generation is one object.
+"""Common parts and differences of the generations of Robot Web Services: a generation is one object.
 
-Which one a controller speaks is asked of the controller: it refuses a request without a password in its own way.
+The controller itself shows its generation: each one refuses a request without a password in its own way.
 """
 
 from collections.abc import Callable, Mapping
@@ -23,9 +23,9 @@ class RwsError(DriverError):
 
 @dataclass(frozen=True, slots=True)
 class Generation:
-    """One generation: how it asks for a password, what it is sent, where its resources are, what it answers.
+    """One generation: its password challenge, request headers, resource paths and answers.
 
-    ``headers`` go with every request, ``form`` besides with one that has a body, ``query`` with every address.
+    ``headers`` go with every request, ``form`` in addition with one that has a body, ``query`` with every address.
     ``paths`` has the resource that holds each state, ``orders`` path and query of each order; ``{name}`` in them is a
     signal's. ``state`` takes the first state out of a parsed answer, ``reason`` the words of a refusal; both may raise
     KeyError, IndexError or TypeError.
@@ -43,7 +43,7 @@ class Generation:
 
 
 def credentials(challenge: str, url: str, user: str, password: str) -> httpx.Auth:
-    """What a challenge asks for, digest or basic; raises RwsError where the password would go out readable."""
+    """The credentials for a challenge, digest or basic; raises RwsError if the password would be sent in clear text."""
     if challenge.lower().startswith("digest"):
         return httpx.DigestAuth(user, password)
     parts = urlsplit(url)

@@ -1,4 +1,4 @@
-"""Robot Web Services 2.0: OmniCore with RobotWare 7. Written from what users publish; tried on an emulator only.
+"""Robot Web Services 2.0: OmniCore with RobotWare 7. Based on published user code; tested only on an emulator.
 
 Sources: ros-industrial/abb_librws (``v2_0``) for paths, versions of media and mastership; recorded answers of
 controllers with RobotWare 7 that users have published for the form of the JSON.
@@ -20,7 +20,7 @@ def _answered(refusal: httpx.Response) -> bool:
 
 
 def _state(body: Any) -> Any:
-    rows = body["state"] if "state" in body else body["_embedded"]["resources"]  # the latter of lists and signals
+    rows = body["state"] if "state" in body else body["_embedded"]["resources"]  # the latter for lists and signals
     return rows[0]
 
 
@@ -43,7 +43,7 @@ RWS2 = Generation(
     },
     orders={
         "motors": ("/rw/panel/ctrl-state", {}),
-        "start": (f"{_EXECUTION}/start", {"mastership": "implicit"}),  # held for this request, then given back
+        "start": (f"{_EXECUTION}/start", {"mastership": "implicit"}),  # held for this request, then released
         "stop": (f"{_EXECUTION}/stop", {}),
         "signal": ("/rw/iosystem/signals/{name}/set-value", {}),
     },

@@ -14,10 +14,10 @@ VARIABLES: dict[str, tuple[str, ...]] = {"TACTILE_INSERTION_RWS_PASSWORD": ("rws
 
 
 class RwsSettings(Contract):
-    """Where the controller is and how long it may take. User and password are ABB's factory defaults.
+    """Address and time limits of the controller. User and password are ABB's factory defaults.
 
-    A controller at https:// is trusted by its ``certificate`` (a PEM file: this one and no other, whatever name it
-    bears), by that of its authority (``ca``), or by the authorities that this machine knows.
+    A controller at https:// is trusted by its ``certificate`` (a PEM file: exactly this certificate, whatever its
+    name), by that of its authority (``ca``), or by the authorities known to this machine.
     """
 
     url: str = Field(default="http://192.168.125.1", pattern=r"^https?://[^/\s]+/?$")
@@ -36,7 +36,7 @@ class RwsSettings(Contract):
     @field_validator("url")
     @classmethod
     def _reachable(cls, url: str) -> str:
-        """Refuse what cannot be an address here: httpx would raise only when it is used."""
+        """Refuse an invalid address here: httpx would raise only on use."""
         try:
             httpx.URL(url).copy_with(port=urlsplit(url).port)
         except (ValueError, httpx.InvalidURL) as error:
@@ -55,7 +55,7 @@ class RwsSettings(Contract):
 
     @property
     def trusted(self) -> ssl.SSLContext:
-        """Which certificates of the controller are believed."""
+        """The TLS context with the trusted certificates of the controller."""
         context = ssl.create_default_context(cafile=self.certificate or self.ca)
         if self.certificate is not None:
             context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN  # it need not be an authority's

@@ -17,7 +17,7 @@ _BATCH = 50
 
 
 class Settings(DeviceSettings):
-    """Where the TCP stands at the start."""
+    """Pose of the TCP at the start."""
 
     pauses: ClassVar = True
     device: Literal["dry_run"] = "dry_run"
@@ -26,7 +26,7 @@ class Settings(DeviceSettings):
 
 @dataclass(slots=True)
 class DryArm(Arm):
-    """Follows its targets exactly; ``on_target`` is given each of them."""
+    """Follows its targets exactly; ``on_target`` receives each of them."""
 
     limits: Limits
     ramps: Ramps
@@ -48,7 +48,7 @@ class DryArm(Arm):
         self._guide.move(target, motion, until_s, legs)
 
     def renew(self, until_s: float) -> None:
-        """The descent under way may go on until then, in real time."""
+        """Let the descent under way go on until then, in real time."""
         self._guide.renew(until_s)
 
     def hold(self, reason: str, *, stop: bool) -> None:  # noqa: ARG002 the port's signature
@@ -87,7 +87,7 @@ class DryArm(Arm):
     def _advanced(self) -> WorkPose:
         try:
             return self._guide.advance(CYCLE_S, time.monotonic())
-        except LimitError as error:  # what the real arm's driver would refuse
+        except LimitError as error:  # as the real arm's driver would refuse
             self._fail("unwatched" if isinstance(error, Unwatched) else "limits", str(error))
             return self._guide.target
 

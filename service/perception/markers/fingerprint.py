@@ -22,7 +22,7 @@ TELLING_N = 150  # markers; with fewer, too much depends on which are found for 
 
 
 def fingerprint(off: NDArray[np.float64], visible: NDArray[np.bool_]) -> str:
-    """Of a resting gel: ``off`` [rows, columns, 2] in pitches from the regular grid, ``visible`` [rows, columns]."""
+    """Fingerprint of a resting gel: ``off`` [rows, columns, 2] in pitches from the grid, ``visible`` [rows, cols]."""
     steps = np.clip(np.round(off / _UNIT), -127, 127)
     coded = np.where(visible[..., None], steps, _ABSENT).astype(np.int8)
     return base64.b64encode(bytes(visible.shape) + coded.tobytes()).decode("ascii")

@@ -32,7 +32,7 @@ _NEAR, _FAR = (_STEPS[chosen] for chosen in (np.abs(_STEPS).max(1) <= 2, np.abs(
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """Positions ``xy_px`` [rows, cols, 2] of the nodes, ``valid`` where a spot was found, ``misfit`` a node in view."""
+    """Positions ``xy_px`` [rows, cols, 2] of the nodes, ``valid`` where a spot was found, ``misfit`` per node seen."""
 
     xy_px: FloatArray
     valid: BoolArray
