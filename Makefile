@@ -1,4 +1,4 @@
-# Everything a person or CI does here has a name below. `make help` lists it.
+# Every command that a person or CI runs here. `make help` lists them.
 PYTHON ?= python3
 VENV ?= .venv
 RUN_VENV ?= .venv-run
@@ -71,7 +71,7 @@ $(DOCS_VENV)/ready $(OPS_VENV)/ready:
 
 # ---- the main job -------------------------------------------------------------------------------------------------
 
-run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= WORLD= X_MM= THETA_DEG= SEED=; OBJECT and WORLD may be TOML files; CELL=foreign: in the cell of finite elements, not in real time)
+run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= WORLD= X_MM= THETA_DEG= SEED=; OBJECT and WORLD may be TOML files; CELL=foreign: finite elements, not in real time)
 ifeq ($(CELL),foreign)
 	@$(RUN) -m simulation evaluate --cell foreign --perception fields --count 1 --objects $(or $(OBJECT),rectangle) \
 	  $(if $(WORLD),--worlds $(WORLD)) $(if $(SEED),--seed $(SEED)) --json "$$(mktemp -d)/foreign.json"
@@ -100,13 +100,13 @@ test: $(VENV)/ready ## lint, types, import rules and the fast tests
 compiled: $(VENV)/ready
 	@$(BIN)/python -m simulation probe rectangle > /dev/null
 
-test-all: $(VENV)/ready ## the fast tests and the long ones; properties draw new examples each time
+test-all: $(VENV)/ready ## fast and slow tests; property tests draw new examples each time
 	HYPOTHESIS_PROFILE=explore $(BIN)/python -m pytest --timeout=1800
 
-# Torch comes in its lowest version where an index of CPU wheels is named; PyPI has only CUDA builds of it.
+# The lowest torch needs an index of CPU wheels (TORCH_CPU_INDEX); PyPI has only CUDA builds of it.
 LOWEST_TESTS = tests/service/recordings tests/service/web/test_api.py tests/robot_client/session tests/training/networks \
   tests/export/onnx tests/export/quantise
-test-lowest: ## every module and some tests with the lowest versions that pyproject.toml allows (needs uv)
+test-lowest: ## all modules and some tests with the lowest versions that pyproject.toml allows (needs uv)
 	rm -rf $(LOWEST_VENV)
 	$(PYTHON) -m venv $(LOWEST_VENV)
 	sh requirements/torch.sh $(LOWEST_VENV)/bin/pip $(if $(TORCH_CPU_INDEX),$(TORCH_LOWEST),$(TORCH_VERSION))
@@ -134,21 +134,21 @@ COUNT ?= 30
 MUTANTS ?= 200
 ALEXNET ?= runs/alexnet
 
-collect: $(VENV)/ready ## poke until TRIALS collisions an object lie in PROBES; goes on after an interruption
+collect: $(VENV)/ready ## poke until PROBES holds TRIALS collisions per object; resumable
 	$(BIN)/python -m simulation collect --trials-per-object $(TRIALS) --out $(PROBES)
 
-hard-cases: $(VENV)/ready ## every hard case of every room on three seeds: one table, docs/hard_cases.md and .json
+hard-cases: $(VENV)/ready ## all hard cases of all packages on three seeds: one table, docs/hard_cases.md and .json
 	$(BIN)/python -m tests.hard_cases
 
-mutants: $(VENV)/ready ## MUTANTS=200 random small changes of the code that decides and moves: do tests notice? docs/mutants.md, .json (SEED=)
+mutants: $(VENV)/ready ## MUTANTS=200 random small changes of the code that decides and moves, and whether tests fail: docs/mutants.md, .json (SEED=)
 	$(BIN)/python -m tests.mutants --count $(MUTANTS) $(if $(SEED),--seed $(SEED))
 
-train: $(VENV)/ready ## train the released networks from PROBES, those that read markers and those that read pictures; goes on after an interruption
+train: $(VENV)/ready ## train the released networks from PROBES, those that read markers and those that read pictures; resumable
 	$(BIN)/python -m training train training/configs/markers.toml --data $(PROBES)
 	$(BIN)/python -m training train training/configs/compact.toml --data $(PROBES)
 	$(BIN)/python -m training train training/configs/compact-long.toml --data $(PROBES)
 
-pressing: $(VENV)/ready ## collect PRESS_TRIALS presses of drawn cells in PRESSES, train the networks that read depth, export and verify them into PRESS_MODELS; goes on after an interruption
+pressing: $(VENV)/ready ## collect PRESS_TRIALS presses of drawn cells in PRESSES, train the networks that read depth, export them into PRESS_MODELS and verify them; resumable
 	$(BIN)/python -m simulation collect --objects drawn --trials-per-object $(PRESS_TRIALS) --trials-per-shard 100 --out $(PRESSES)
 	$(BIN)/python -m training train training/configs/pressing.toml --data $(PRESSES)
 	$(BIN)/python -m training depths runs/pressing
@@ -172,39 +172,39 @@ export: $(VENV)/ready ## write CHECKPOINT and PICTURES as ONNX files with their 
 	$(BIN)/python -m export onnx $(PICTURES) --out $(MODELS)/pictures
 	for folder in $(MODELS) $(MODELS)/joint $(MODELS)/pictures; do $(BIN)/python -m export verify $$folder || exit 1; done
 
-accuracy: $(VENV)/ready ## what physics accuracy costs in time: docs/accuracy.md, .json, .png; errors beside theory: docs/theory.md
+accuracy: $(VENV)/ready ## time cost of physics accuracy: docs/accuracy.md, .json, .png; errors against theory: docs/theory.md
 	$(BIN)/python -m tests.simulation.physics.theory docs
 	$(BIN)/python -m simulation accuracy
 
 slip-report: $(RUN_VENV)/ready ## how well slip is detected, and at what cost: docs/slip_report.md
 	$(RUN) -m simulation slip-report
 
-trust-live: $(RUN_VENV)/ready ## break live insertions on purpose: docs/motion_bounds.md, .json; goes on after an interruption
+trust-live: $(RUN_VENV)/ready ## inject faults into live insertions: docs/motion_bounds.md, .json; resumable
 	$(RUN) -m simulation motion-bounds
 
-pace: $(RUN_VENV)/ready ## what accuracy costs, in seconds a box: docs/pace.md, .json, .png; goes on after an interruption
+pace: $(RUN_VENV)/ready ## cost of accuracy in seconds per box: docs/pace.md, .json, .png; resumable
 	$(RUN) -m simulation pace --out runs/pace --docs docs
 
-bench: $(VENV)/ready ## what a decision of each released network costs on this machine, and whether int8 pays: docs/benchmark.md, .json
+bench: $(VENV)/ready ## cost of a decision of each released network on this machine, and whether int8 pays: docs/benchmark.md, .json
 	$(BIN)/python -m export benchmark --docs docs --int8 models/pictures --alexnet $(ALEXNET) \
 	  $(if $(wildcard $(PROBES)/manifest.json),--data $(PROBES))
 
-bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## what serving costs beside MLServer and LitServe: docs/serving.md, .json
+bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## cost of serving against MLServer and LitServe: docs/serving.md, .json
 	$(BIN)/python -m tests.benchmarks.serving --models $(MODELS) --peers-python $(PEERS_VENV)/bin/python
 
 PEERS = $(if $(LEROBOT),$(PEERS_OF_THEIR_OWN),$(filter-out $(LEROBOT_VENV),$(PEERS_OF_THEIR_OWN)))
-peers: $(VENV)/browser $(PEERS:=/ready) ## foreign software against this one, a row a package: docs/peers.md, .json (LEROBOT=1: its loader too, 8 GB)
+peers: $(VENV)/browser $(PEERS:=/ready) ## interoperability with other software, one row per package: docs/peers.md, .json (LEROBOT=1: its loader, too, 8 GB)
 	PEERS_PYTHON=$(CURDIR)/$(READERS_VENV)/bin/python OLD_RUNTIME_PYTHON=$(CURDIR)/$(OLD_RUNTIME_VENV)/bin/python \
 	  GRAPH_PYTHON=$(CURDIR)/$(GRAPH_VENV)/bin/python KSERVE_PYTHON=$(CURDIR)/$(KSERVE_VENV)/bin/python $(if $(LEROBOT),LEROBOT_PYTHON=$(CURDIR)/$(LEROBOT_VENV)/bin/python) \
 	  $(BIN)/python -m tests.peers
 
-bench-hostile: $(VENV)/ready ## what floods of pages, inference, bodies and connections cost the robot: docs/hostile_load.json
+bench-hostile: $(VENV)/ready ## effect of floods of pages, inference, bodies and connections on the robot: docs/hostile_load.json
 	$(BIN)/python -m tests.benchmarks.hostile --models $(MODELS)
 
-soak: $(VENV)/ready ## MINUTES=30 of insertions while clients, cameras, models and garbage make trouble: docs/soak.md, .json
+soak: $(VENV)/ready ## MINUTES=30 of insertions with faulty clients, cameras, models and garbage: docs/soak.md, .json
 	$(BIN)/python -m tests.service.soak.soak --minutes $(MINUTES) --models $(MODELS)
 
-evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions an object: the paper's trials beside ours, EVALUATION
+evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions per object, against the paper's trials: EVALUATION
 	$(RUN) -m simulation evaluate --json $(EVALUATION) --count $(COUNT) --perception $(PERCEPTION)
 
 PERCEPTION ?= pictures
@@ -214,18 +214,18 @@ trust: $(RUN_VENV)/ready ## claims under adversity: 10,000 insertions with drawn
 drawn-worlds: $(RUN_VENV)/ready ## the closed loop in 300 drawn worlds with drawn objects, all variants: docs/drawn_worlds.md
 	$(RUN) -m simulation drawn-worlds --out runs/drawn_worlds --docs docs
 
-commissioning: $(RUN_VENV)/ready ## first days of 12 drawn cells: signs with each mistake, probes, adapting, work: docs/commissioning.md
+commissioning: $(RUN_VENV)/ready ## first days of 12 drawn cells: wiring check with each mistake, probes, adapting, work: docs/commissioning.md
 	$(RUN) -m simulation draw-worlds --count 12 --seed 51 --out runs/commissioning/worlds
 	$(RUN) -m simulation draw-objects --count 4 --seed 51 --out runs/commissioning/objects
 	$(RUN) -m simulation commission --worlds runs/commissioning/worlds --objects runs/commissioning/objects --mistakes \
 	  --seed 51 --json runs/commissioning/rows.json --docs docs
 
-identify: $(RUN_VENV)/ready ## what presses tell of a gel, on 60 fresh drawn cells: docs/identify.md; FIT=1 fits what ships anew
+identify: $(RUN_VENV)/ready ## identify gels from presses, on 60 fresh drawn cells: docs/identify.md; FIT=1 refits the released posterior
 	$(if $(FIT),$(RUN) -m simulation scene fit --out runs/identify --to simulation/studies/identify/posterior.npz)
 	$(RUN) -m simulation scene judge --out runs/identify --layer-cells 12 --docs docs
 
 # ---- operations ---------------------------------------------------------------------------------------------------
-# Containers with docker where there is one, else podman. CELL= names a cell: its settings are docker/CELL.env.
+# Containers with docker if available, else podman. CELL= names a cell: its settings are in docker/CELL.env.
 
 CELL ?= cell-a
 ENV_FILE ?= docker/$(CELL).env
@@ -246,7 +246,7 @@ up-sim: $(OPS_VENV)/ready ## start the simulated cell and the service in contain
 down: $(OPS_VENV)/ready ## stop and remove the containers of CELL; recordings stay
 	$(COMPOSE) $(COMPOSE_FILE_ARGS) --profile live --profile robot --profile sim --profile monitoring down
 
-verify-images: $(OPS_VENV)/ready bundle ## build images and bundle, run the loop in them, kill the service in mid-insertion, print sizes and times
+verify-images: $(OPS_VENV)/ready bundle ## build images and bundle, run the loop in them, kill the service during an insertion, print sizes and times
 	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) -m tests.docker.verify_images --outside $(CURDIR)/$(RUN) --bundle "$$(ls $(CURDIR)/dist/*.tar)"
 
 lint-ops: $(OPS_VENV)/ready ## check Dockerfiles, alert rules (needs promtool) and manifests
@@ -261,11 +261,11 @@ bundle: $(RUN_VENV)/ready ## archive for a cell without internet: wheels, code, 
 sbom: $(RUN_VENV)/ready $(OPS_VENV)/ready ## list every shipped dependency with its licence -> dist/
 	sh docker/sbom.sh $(RUN) $(OPS_VENV)/bin dist
 
-docs: $(DOCS_VENV)/ready ## the pages as a site, build/site/index.html, to be read without internet; a broken link fails
+docs: $(DOCS_VENV)/ready ## the docs as a site for offline reading, build/site/index.html; fails on a broken link
 	NO_MKDOCS_2_WARNING=1 $(DOCS_VENV)/bin/mkdocs build --strict
 
 requirements: ## pin requirements/*.txt again (needs uv)
 	sh requirements/compile.sh
 
-clean: ## remove what the commands above made, but no data and no runs
+clean: ## remove environments, builds and caches, but no data and no runs
 	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) $(PEERS_OF_THEIR_OWN) $(DOCS_VENV) $(LOWEST_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -29,7 +29,7 @@ from service.contract.text import printable
 from service.contract.wire import ControllerName
 
 _EPILOG = """exit codes: 0 done (inserted, ready, homed, ...), 1 not done or failed safe,
-2 wrong input or configuration
+2 invalid input or configuration
 
 examples (m is python -m robot_client):
   m insert --x-mm 8 --theta-deg 6            rehearse, nothing connected
@@ -69,21 +69,19 @@ def _parser() -> argparse.ArgumentParser:
 
     add(
         "insert",
-        "insert the held object; a rehearsal unless --live is typed",
+        "insert the held object; a rehearsal without --live",
         _connection,
         _mode,
         _uncommissioned,
         _insertion,
     )
-    summary = "pick, insert and let go, part after part; only told unless --live is typed"
+    summary = "pick, insert and release, part after part; a rehearsal without --live"
     cycling = add("cycle", summary, _connection, _mode, _uncommissioned)
     cycling.add_argument("--parts", type=int, metavar="N", help="stop after N inserted parts (default: never)")
     cycling.add_argument("--logs", type=Path, metavar="DIR", help="folder for episode logs (default runs/robot)")
-    summary = "probe from known errors: is the cell wired right, and what does it feel?"
+    summary = "probe from known errors: check the wiring, record data to learn from"
     add("commission", summary, _connection, _mode, _commissioning)
-    examining = add(
-        "doctor", "name what is wrong with PC, network, controller, gripper, cameras, and its remedy", _connection
-    )
+    examining = add("doctor", "name faults of PC, network, controller, gripper and cameras, with remedies", _connection)
     examining.add_argument(
         "--recordings", type=Path, default=Path("recordings"), help="folder of the service's recordings"
     )

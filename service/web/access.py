@@ -1,4 +1,4 @@
-"""Who may do what: bearer tokens with roles, and the origin of browsers."""
+"""Access control: bearer tokens with roles, and the origin of browsers."""
 
 import hmac
 from typing import Any, Literal
@@ -18,11 +18,11 @@ CROSS_SITE, TOP_LEVEL = "cross-site", "navigate"
 
 
 class Access:
-    """Checks requests against the settings' tokens, and against a token of its own where none is set for `admin`.
+    """Checks requests against the configured tokens, and against its own token if none is set for `admin`.
 
     A token comes as ``Authorization: Bearer TOKEN`` or, for browsers' WebSockets and images, ``?token=TOKEN``. Without
-    one a client of this machine may watch, unless watching has a token of its own. Raises TokenError where the token of
-    the state folder cannot be kept.
+    a token, a client on this machine may watch, unless watching has its own token. Raises TokenError if the token in
+    the state folder cannot be stored.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -40,7 +40,7 @@ class Access:
         self._origins = set(settings.allowed_origins)
 
     def role(self, connection: HTTPConnection) -> Role | None:
-        """The highest role a request's token gives, or what needs none; None for a wrong token."""
+        """The highest role of a request's token, or the role that needs none; None for a wrong token."""
         scheme, _, value = connection.headers.get("authorization", "").partition(" ")
         offered = value.strip() if scheme.lower() == "bearer" else connection.query_params.get("token", "")
         if not offered:
@@ -55,7 +55,7 @@ class Access:
     def same_origin(self, connection: HTTPConnection) -> bool:
         """Whether a browser's page is ours or allowed; other clients send no Origin.
 
-        A foreign page that embeds a picture sends none either, but says that it is another site.
+        A foreign page that embeds a picture sends none either, but is marked as another site.
         """
         headers = connection.headers
         origin = headers.get("origin")
@@ -65,7 +65,7 @@ class Access:
         return urlsplit(origin).netloc == headers.get("host") or origin in self._origins
 
     async def admit(self, socket: WebSocket, needed: Role) -> bool:
-        """Close a WebSocket that may not come in; True if it may."""
+        """Close a WebSocket without access; True if it has access."""
         if self.allows(socket, needed) and self.same_origin(socket):
             return True
         await socket.close(FORBIDDEN_CLOSE)
@@ -85,7 +85,7 @@ class Access:
     def require(self, needed: Role) -> Any:
         """A FastAPI dependency that refuses with 401 or 403."""
 
-        async def check(request: Request) -> None:  # async, or every request would wait for a thread first
+        async def check(request: Request) -> None:  # async, or every request would first wait for a thread
             self.check(request, needed)
 
         return Depends(check)

@@ -1,4 +1,4 @@
-"""The web application around a station: an app factory, so that tests and the simulator serve the same thing."""
+"""The web application around a station: an app factory, so that tests and the simulator serve the same application."""
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -27,15 +27,15 @@ class Refused(BaseModel):
     error: str
 
 
-REFUSAL = {"application/json": {"schema": Refused.model_json_schema()}}  # of every route, whatever it answers else
+REFUSAL = {"application/json": {"schema": Refused.model_json_schema()}}  # of every route, besides its own answers
 
 
 def create_app(station: Station) -> FastAPI:
-    """The application; the caller starts and stops the station. Raises TokenError where it cannot keep its token."""
+    """The application; the caller starts and stops the station. Raises TokenError if it cannot store its token."""
     app = FastAPI(
         title="tactile-insertion",
         version=__version__,
-        docs_url=None,  # its scripts would come from elsewhere
+        docs_url=None,  # its scripts would come from the internet
         redoc_url=None,
         responses={"4XX": {"description": "refused; the text says why", "content": REFUSAL}},
     )
@@ -77,7 +77,7 @@ def _refuse_in_one_form(app: FastAPI) -> None:
 
 
 def allowed_methods(request: Request) -> set[str]:
-    """The methods of a described path: the router alone names those of its first route."""
+    """The methods of a described path: the router itself names only those of its first route."""
     described: dict[str, dict[str, object]] = request.app.openapi()["paths"]
     matching = [methods for path, methods in described.items() if compile_path(path)[0].match(request.scope["path"])]
     return {method.upper() for methods in matching for method in methods}

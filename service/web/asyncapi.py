@@ -89,7 +89,7 @@ def _channel(address: str, description: str, names: list[str], **more: Any) -> d
 
 
 def _operation(action: str, channel: str, summary: str, names: list[str]) -> dict[str, Any]:
-    """``action`` is from the service's side: it receives what clients send."""
+    """One operation; ``action`` is from the service's side: it receives the clients' messages."""
     return {
         "action": action,
         "channel": {"$ref": f"#/channels/{channel}"},
@@ -100,7 +100,7 @@ def _operation(action: str, channel: str, summary: str, names: list[str]) -> dic
 
 @lru_cache
 def document(version: str) -> dict[str, Any]:
-    """The AsyncAPI document; every payload schema is the one its messages are parsed with."""
+    """The AsyncAPI document; every payload schema is the one that parses its messages."""
     client, service = [m.__name__ for m in CLIENT], [m.__name__ for m in SERVICE]
     _, schemas = models_json_schema(
         [(model, "validation") for model in (*CLIENT, *SERVICE)], ref_template="#/components/schemas/{model}"

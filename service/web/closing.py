@@ -1,4 +1,4 @@
-"""How a WebSocket ends: its parallel parts stop together, and the client and the log get the reason."""
+"""Closing a WebSocket: its parallel parts stop together, and the client and the log get the reason."""
 
 import asyncio
 import contextlib
@@ -10,8 +10,8 @@ import structlog
 from fastapi import WebSocket, WebSocketDisconnect
 
 NORMAL, GOING_AWAY, UNSUPPORTED, POLICY_VIOLATION, BROKEN, TRY_AGAIN_LATER = 1000, 1001, 1003, 1008, 1011, 1013
-MAX_REASON_BYTES = 123  # what a close frame holds
-CLOSE_S = 1.0  # for a close frame to a client that may not be reading any more
+MAX_REASON_BYTES = 123  # capacity of a close frame
+CLOSE_S = 1.0  # for a close frame to a client that may have stopped reading
 log = structlog.get_logger()
 
 
@@ -25,7 +25,7 @@ class Ending:
 
 
 async def until_one_ends(socket: WebSocket, *parts: Coroutine[Any, Any, Ending]) -> Ending:
-    """Run all parts of a conversation until the first ends, then stop the others; the ending is the first one's.
+    """Run all parts of a conversation until the first one ends, then stop the others; returns the first one's ending.
 
     A part that raises anything but WebSocketDisconnect is logged, and sent as 1011.
     """
@@ -64,14 +64,14 @@ async def until_gone(socket: WebSocket) -> Ending:
 
 @dataclass(slots=True)
 class Slots:
-    """How many clients of one kind are served at once."""
+    """Limit on the number of simultaneous clients of one kind."""
 
     most_n: int
     taken_n: int = 0
 
     @contextlib.asynccontextmanager
     async def taken(self, socket: WebSocket) -> AsyncIterator[bool]:
-        """Take a seat while the context lasts; where none is free, close with the reason and give False."""
+        """Take a slot for the duration of the context; if none is free, close with the reason and yield False."""
         if self.taken_n >= self.most_n:
             await close(
                 socket, Ending(TRY_AGAIN_LATER, f"{self.most_n} such clients are connected, no more are served")

@@ -1,4 +1,4 @@
-"""What every request passes before its route: a rate for each address, bounds on its body, headers of the answer."""
+"""Checks of every request before its route: a rate per address, limits on its body, headers of the answer."""
 
 import asyncio
 import contextlib
@@ -16,13 +16,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.web.access import Access
 
-BODY_TIMEOUT_S = 15.0  # without a byte of a body that was announced
+BODY_TIMEOUT_S = 15.0  # without a byte of an announced body
 WHOLE_BODY_TIMEOUT_S = 60.0
 BURST_S = 2.0  # an address may save up this much of its rate
 MAX_ADDRESSES = 4096
-MAX_BODY_BYTES = 32 << 20  # of one request
-MAX_BODIES_BYTES = 64 << 20  # of all requests that are held at once
-IPV6_SITE_BITS = 64  # what one subscriber has for himself: a new address in it is no new peer
+MAX_BODY_BYTES = 32 << 20  # per request
+MAX_BODIES_BYTES = 64 << 20  # of all requests held at once
+IPV6_SITE_BITS = 64  # a subscriber's own part: a new address in it is no new peer
 ALWAYS = {"/healthz", "/readyz", "/metrics", "/v2/health/live", "/v2/health/ready"}
 INSERTION = {"/", "/v1/insertion", "/v1/insertions/ws"}
 CONTENT_POLICY = (
@@ -33,7 +33,7 @@ HARDENED = {
     b"x-content-type-options": b"nosniff",
     b"content-security-policy": CONTENT_POLICY.encode(),
     b"x-frame-options": b"DENY",
-    b"referrer-policy": b"no-referrer",  # a token may stand in the address
+    b"referrer-policy": b"no-referrer",  # an address may contain a token
     b"cross-origin-resource-policy": b"same-origin",
 }
 NO_STORING = b"cache-control", b"no-store"
@@ -41,13 +41,13 @@ NO_STORING = b"cache-control", b"no-store"
 
 @dataclass(slots=True)
 class Rate:
-    """A token bucket a peer: ``per_s`` events a second, 0 for no limit. One thread."""
+    """A token bucket per peer: ``per_s`` events per second, 0 for no limit. One thread."""
 
     per_s: float
     _left: OrderedDict[str, tuple[float, float]] = field(default_factory=OrderedDict)
 
     def allows(self, peer: str, now_s: float | None = None) -> bool:
-        """Count one event of a peer; False if it comes too fast."""
+        """Count one event of a peer; False above the rate."""
         if not self.per_s:
             return True
         now_s = time.monotonic() if now_s is None else now_s
@@ -61,9 +61,9 @@ class Rate:
 
 
 class RequestLimits:
-    """ASGI middleware: a rate for each address, the declared length and a deadline of bodies, safe headers.
+    """ASGI middleware: a rate per address, the declared length and a deadline of bodies, safe headers.
 
-    Health checks and the insertion channel of whoever may drive are not counted: nobody can use up what they need.
+    Health checks and the insertion channel of clients that may drive are not counted: nobody can use up their share.
     """
 
     def __init__(self, app: ASGIApp, requests_per_s: float, access: Access) -> None:
@@ -101,7 +101,7 @@ class RequestLimits:
 
 
 def peer_of(scope: Scope) -> str:
-    """Who asks: the address of the connection, which no header can change; of IPv6 the subscriber's part."""
+    """The peer of a request: the address of its connection, which no header can change; the /64 prefix for IPv6."""
     host: str = (scope.get("client") or ("", 0))[0]
     try:
         address = ipaddress.ip_address(host.partition("%")[0])
@@ -113,7 +113,7 @@ def peer_of(scope: Scope) -> str:
 
 
 def declared_bytes(scope: Scope) -> int:
-    """The body's length as the request declares it; 0 where it does not (the web server refuses what is no number)."""
+    """The body's length as declared by the request; 0 without one (the web server refuses an invalid number)."""
     return int(Headers(scope=scope).get("content-length") or 0)
 
 
@@ -127,7 +127,7 @@ def timed(receive: Receive) -> Receive:
 
     async def next_piece() -> Message:
         nonlocal whole
-        if whole:  # what follows is only the news that the client left
+        if whole:  # only the client's disconnection can follow
             return await receive()
         try:
             async with asyncio.timeout(BODY_TIMEOUT_S):
@@ -142,13 +142,13 @@ def timed(receive: Receive) -> Receive:
 
 @dataclass(slots=True)
 class Bodies:
-    """The bytes of all bodies that the service holds at one moment."""
+    """Total size of all bodies that the service holds at one moment."""
 
     most_bytes: int = MAX_BODIES_BYTES
     held_bytes: int = 0
 
     def take(self, bytes_n: int) -> None:
-        """Set memory aside; raises HTTPException 429 where all of it is in use."""
+        """Reserve memory; raises HTTPException 429 if all of it is in use."""
         if self.held_bytes + bytes_n > self.most_bytes:
             text = f"{self.held_bytes >> 20} MiB of bodies are being read, at most {self.most_bytes >> 20} are"
             raise HTTPException(429, text, {"Retry-After": "1"})
@@ -157,10 +157,10 @@ class Bodies:
 
 @contextlib.asynccontextmanager
 async def whole_body(request: Request, most_bytes: int) -> AsyncIterator[bytearray]:
-    """The body of a request, counted among those held until the context ends.
+    """The body of a request, counted among the held ones until the context ends.
 
-    Raises HTTPException 413 beyond ``most_bytes``, before a byte is read where the request declares it, 429 where the
-    memory of all bodies is in use, 408 where it takes too long, and 400 if the client leaves meanwhile.
+    Raises HTTPException 413 beyond ``most_bytes``, before reading if the request declares its length; 429 if the memory
+    of all bodies is in use, 408 if it takes too long, and 400 if the client leaves meanwhile.
     """
     bodies: Bodies = request.app.state.bodies
     body, held_bytes = bytearray(), declared_bytes(request.scope)
@@ -171,7 +171,7 @@ async def whole_body(request: Request, most_bytes: int) -> AsyncIterator[bytearr
         async for piece in _pieces(request):
             if len(body) + len(piece) > most_bytes:
                 raise HTTPException(413, _too_large(most_bytes))
-            more = max(0, len(body) + len(piece) - held_bytes)  # a body in chunks declares nothing
+            more = max(0, len(body) + len(piece) - held_bytes)  # a chunked body declares no length
             bodies.take(more)
             held_bytes += more
             body += piece
@@ -194,7 +194,7 @@ async def _pieces(request: Request) -> AsyncIterator[bytes]:
 
 
 def hardened(send: Send) -> Send:
-    """The same with headers that keep browsers from guessing, caching, framing, and running what is not ours."""
+    """The same with headers that keep browsers from guessing, caching, framing, and running foreign scripts."""
 
     async def send_on(message: Message) -> None:
         if message["type"] == "http.response.start":

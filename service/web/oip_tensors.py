@@ -32,11 +32,11 @@ REQUEST_KEYS = {"id", "parameters", "inputs", "outputs"}
 INPUT_KEYS = {"name", "shape", "datatype", "parameters", "data"}
 OUTPUT_KEYS = {"name", "parameters"}
 MAX_ELEMENTS = 1 << 25
-MAX_JSON_BYTES = 6 << 20  # as objects of the interpreter, text takes thirty times its size
+MAX_JSON_BYTES = 6 << 20  # as Python objects, text takes thirty times its size
 
 
 class TensorError(ContractError):
-    """A request is not what the protocol or the model expects."""
+    """A request violates the protocol or the model's inputs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ def metadata(model: LoadedModel) -> dict[str, Any]:
 
 
 def parse_request(body: bytes | bytearray, header_length: str | None, model: LoadedModel) -> InferRequest:
-    """Read an infer request; raise TensorError naming what is wrong. Binary tensors are views of the body."""
+    """Parse an infer request; raise TensorError naming the fault. Binary tensors are views of the body."""
     if header_length is not None and not (header_length.isdigit() and int(header_length) <= len(body)):
         raise TensorError(f"Inference-Header-Content-Length {header_length!r}, expected a length within the body")
     split = len(body) if header_length is None else int(header_length)
@@ -93,7 +93,7 @@ def _parameters(entry: Any) -> Mapping[str, Any]:
 
 
 def _only(entry: Mapping[str, Any], what: str, keys: set[str], parameters: set[str]) -> None:
-    """Raise TensorError by the name of what is not supported: ignored, it would look as if it had been done."""
+    """Raise TensorError naming an unsupported key: ignoring it would make it look supported."""
     for kind, given, known in (("", entry, keys), ("parameter ", _parameters(entry), parameters)):
         for name in given:
             if name not in known:
@@ -121,7 +121,7 @@ def _inputs(entries: list[Any], tail: memoryview, known: Mapping[str, Any]) -> d
 
 
 def _tensor(entry: Mapping[str, Any], data: memoryview | None, known: Mapping[str, Any]) -> Array:
-    """One input: out of its binary ``data``, or out of the JSON where there is none."""
+    """One input: from its binary ``data``, or from the JSON if there is none."""
     name, shape, dtype = entry["name"], _shape(entry, known), np.dtype(DATATYPES[known["datatype"]])
     count = math.prod(shape)
     if data is not None:
@@ -140,14 +140,14 @@ def _tensor(entry: Mapping[str, Any], data: memoryview | None, known: Mapping[st
 
 
 def _finite(name: str, values: Array) -> Array:
-    """The same values; raises TensorError for null, NaN and infinity: no network was trained on them."""
+    """The same values; raises TensorError for null, NaN and infinity, which no network was trained on."""
     if not np.isfinite(values).all():
         raise TensorError(f"{name} has values that are not finite numbers")
     return values
 
 
 def _shape(entry: Mapping[str, Any], known: Mapping[str, Any]) -> tuple[int, ...]:
-    """The shape of an input, which is of the model's type and fits it."""
+    """The shape of an input, checked against the model's type and shape."""
     name, datatype, shape = entry["name"], entry.get("datatype"), entry.get("shape")
     if datatype != known["datatype"]:
         raise TensorError(f"input {name} is {datatype}, expected {known['datatype']}")
@@ -189,7 +189,7 @@ def encode_response(
 
 
 def _described_outputs(model_name: str, request: InferRequest, values: Mapping[str, Array]) -> bytes:
-    """The JSON of a response: what its tensors are, and the values of those that do not go out in binary."""
+    """The JSON of a response: descriptions of its tensors, and the values of those not sent in binary."""
     described: list[dict[str, Any]] = []
     for name, array in values.items():
         entry: dict[str, Any] = {"name": name, "datatype": _NAMES[array.dtype], "shape": list(array.shape)}

@@ -1,4 +1,4 @@
-"""The web server: bounds on time, size and number, set with options of the kernel and of uvicorn."""
+"""The web server: limits on time, size and number, set with options of the kernel and of uvicorn."""
 
 import contextlib
 import resource
@@ -17,21 +17,21 @@ from service.contract import ContractError
 from service.settings import Settings, SettingsError
 
 HEAD_TIMEOUT_S = 10.0  # without a complete request
-READ_TIMEOUT_S = 20.0  # without any sign that the client reads
+READ_TIMEOUT_S = 20.0  # without any sign of the client reading
 MAX_HEAD_BYTES = 16 << 10
 MAX_MESSAGE_BYTES = 4 << 20
 MAX_WAITING = 256  # connections without a request
 
 
 class PortError(ContractError):
-    """The port cannot be had."""
+    """The port is not available."""
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """A listening TCP socket; raise PortError with what to do if the port is busy or the address is not ours.
+    """A listening TCP socket; raise PortError with the remedy if the port is busy or the address is not ours.
 
     The kernel drops connections whose client reads nothing for ``READ_TIMEOUT_S``. The protocol is named because
-    asyncio sends without delay only where it reads that name: otherwise answers wait 40 ms for an acknowledgement.
+    asyncio sends without delay only for a named one: otherwise answers wait 40 ms for an acknowledgement.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     sock = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
@@ -60,7 +60,7 @@ def check_certificate(settings: Settings) -> None:
 
 
 def open_many_files() -> None:
-    """Let this process have as many files and connections open as the system allows it."""
+    """Raise this process's limit of open files and connections to the system's maximum."""
     with contextlib.suppress(ValueError, OSError):
         hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
         resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
@@ -68,16 +68,16 @@ def open_many_files() -> None:
 
 @dataclass(slots=True)
 class Waiting:
-    """Lets go of connections that ask nothing, so that who does ask gets in: the silent, and the oldest of too many.
+    """Closes idle connections, so that active clients get in: the silent ones, and the oldest of too many.
 
-    ``connections`` are uvicorn's protocols. One waits while no request of it is being answered.
+    ``connections`` are uvicorn's protocols. One is idle while none of its requests is being answered.
     """
 
     connections: Collection[Any] = ()
     _since: WeakKeyDictionary[Any, tuple[Any, float | None]] = field(default_factory=WeakKeyDictionary)
 
     async def look(self) -> None:
-        """Called by the web server ten times a second."""
+        """Check the connections; the web server calls this ten times per second."""
         now_s = time.monotonic()
         waiting: list[tuple[float, Any]] = []
         for connection in tuple(self.connections):
@@ -99,9 +99,9 @@ class Waiting:
 
 
 def web_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
-    """The web server: bounded in time, size and number; no compression, which costs more than the network.
+    """The web server: limited in time, size and number; no compression, which costs more than the network.
 
-    Headers that a proxy would set are not believed: the address of a client is that of its connection.
+    A proxy's headers are not trusted: the address of a client is that of its connection.
     """
     waiting = Waiting()
     config = uvicorn.Config(

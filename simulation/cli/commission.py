@@ -134,7 +134,7 @@ class Identify:
     recordings: Annotated[Path, tyro.conf.Positional]
     """folder with the service's recordings, those of both grips"""
     object: str
-    """held object by name or TOML file; a rectangle must cover the pads"""
+    """held object by name or TOML file: a rectangle that covers the pads"""
     out: Path
     """world file to write"""
     posterior: Path = posterior.SHIPPED

@@ -1,9 +1,9 @@
-"""What physics accuracy costs in time, against converged references.
+"""The time cost of physics accuracy, against converged references.
 
-Each scene is poked once (1.5 mm past touchdown, friction partly slipping) with one knob turned at a time. Errors are
+Each scene is poked once (1.5 mm past touchdown, friction partly slipping), varying one parameter at a time. Errors are
 those of the held object's pose, of the force and of the markers' motion at the end of the poke. They are taken against
-the same tier, converged (what load step and node count cost), and against the converged layer tier (what the model
-costs).
+the same tier, converged (the cost of load step and node count), and against the converged layer tier (the cost of the
+model).
 """
 
 import time
@@ -40,7 +40,7 @@ REFERENCES: dict[Tier, Changes] = {
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One way to compute: its name, what it belongs with in the picture, tier and changed keys."""
+    """One way to compute: its name, its group in the picture, tier and changed keys."""
 
     name: str
     family: Literal["load step", "nodes", "effects", "layer"]
@@ -69,7 +69,7 @@ SETTINGS = (
 
 @dataclass(frozen=True, slots=True)
 class Error:
-    """How far an end state is from a reference; markers are RMS over both fingers, against the state at rest."""
+    """Differences of an end state from a reference; markers are RMS over both fingers, against the state at rest."""
 
     position_um: float
     turn_deg: float
@@ -92,7 +92,7 @@ class Cost:
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """End of a poke: the state, what the markers moved by since the grasp (mm), best CPU time in ms."""
+    """End of a poke: the state, the markers' motion since the grasp (mm), best CPU time in ms."""
 
     state: CellState
     motion: np.ndarray[tuple[int, ...], np.dtype[np.float32]]
@@ -100,7 +100,7 @@ class End:
 
 
 def poke(scene: str, tier: Tier, changes: Changes, repeats: int) -> End:
-    """Poke a scene; CPU time is the best of that many repeats."""
+    """Poke a scene; CPU time is the best of ``repeats``."""
     cell, best = QuasiStaticCell(load_scene(scene, **{"gel__tier": tier, **CLEAN, **changes})), float("inf")
     for _ in range(repeats):
         held = cell.regrasp(X_MM, THETA_DEG)
@@ -112,7 +112,7 @@ def poke(scene: str, tier: Tier, changes: Changes, repeats: int) -> End:
 
 
 def error_of(end: End, reference: End) -> Error:
-    """How far a poke ended from the reference's."""
+    """Differences of a poke's end from the reference's."""
     shift = end.state.in_hand - reference.state.in_hand
     force = end.state.wrench_n_nmm[:3] - reference.state.wrench_n_nmm[:3]
     return Error(
@@ -136,7 +136,7 @@ def measure(repeats: int, show: Callable[[int], None]) -> list[Cost]:
 
 
 def probe_times(repeats: int) -> dict[str, dict[str, float]]:
-    """Best CPU time, ms, of a whole probe a scene on one core: marker fields of each tier; 2 x 30 frames, rectified."""
+    """Best CPU time, ms, of a whole probe per scene on one core: marker fields of each tier; 2 x 30 frames."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

@@ -1,6 +1,6 @@
-"""A cell that learns, in lock step: what its probes and its work show is kept as recordings, from which it adapts.
+"""A cell that learns, in lock step: its probes and its work are stored as recordings, from which it adapts.
 
-The software is not given the world. Adapting is training's own command in a process of its own, as on a cell's PC.
+The software is not given the world. Adapting is training's own command in a separate process, as on a cell's PC.
 """
 
 import json
@@ -40,7 +40,7 @@ VERSIONS = ("released", "after_50", "after_150", "after_work")
 PROBES, WORK, SCORING, SIGNS = 1, 2, 3, 4
 FEW = 50
 REFUSED, STAYS = 2, 3
-"""Exit statuses of `training adapt`: bad input, such as nothing to learn from, and a release that is not replaced."""
+"""Exit statuses of `training adapt`: invalid input, such as nothing to learn from, and a release that stays."""
 MISTAKES: Mapping[str, Mapping[str, Any]] = {
     "fingers swapped": {"swapped_fingers": True},
     "left mirrored": {"mirrored": (True, False)},
@@ -49,7 +49,7 @@ MISTAKES: Mapping[str, Mapping[str, Any]] = {
     "x reversed": {"x_sign": -1},
     "yaw reversed": {"yaw_sign": -1},
 }
-"""Of a first day: what each changes in a world's table `[world]`."""
+"""Mistakes of a first day: the change of each in a world's table `[world]`."""
 
 
 def mistaken(world: World) -> Iterator[World]:
@@ -60,7 +60,7 @@ def mistaken(world: World) -> Iterator[World]:
 
 @dataclass(frozen=True)
 class Cell:
-    """A world with the objects it packs, and where what is learnt of it is kept."""
+    """A world with the objects it packs, and the folder of everything learnt from it."""
 
     world: World
     objects: Mapping[str, Scene]
@@ -69,14 +69,14 @@ class Cell:
     cell: str = ""
 
     def jobs(self, count: int, purpose: int) -> list[Row]:
-        """``count`` starts, object after object, drawn anew for each purpose."""
+        """``count`` starts, object after object, drawn separately for each purpose."""
         names = list(islice(cycle(self.objects), count))
         ranges = [(self.objects[name].x_range_mm, self.objects[name].theta_range_deg) for name in names]
         shares = np.random.default_rng((self.seed, purpose)).uniform(-1.0, 1.0, (count, 2))
         return self._jobs(names, shares * ranges, purpose)
 
     def probes(self, count: int) -> list[Row]:
-        """``count`` known errors, object after object, drawn as the client draws them."""
+        """``count`` known errors, object after object, drawn like the client's."""
         names, starts = list(islice(cycle(self.objects), count)), []
         for index, name in enumerate(names):
             scene = self.objects[name]
@@ -85,7 +85,7 @@ class Cell:
         return self._jobs(names, starts, PROBES)
 
     def signs(self) -> Iterator[list[Row]]:
-        """The four sides with each object, as a reversed arm takes it from the fixture; first what fits worst."""
+        """The four sides with each object, as a reversed arm takes it from the fixture; the worst fit first."""
         arm, turned_deg = self.world.unstated, SIDES[0][1]
 
         def too_wide_mm(name: str) -> float:
@@ -106,10 +106,10 @@ class Cell:
 
 @dataclass(frozen=True)
 class Plan:
-    """How much a cell learns from and is judged on; ``checkpoint`` is the release that is adapted.
+    """How much a cell learns from and is evaluated on; ``checkpoint``: the release to adapt.
 
-    With 0 ``probes`` it is only asked for its signs, with 0 ``work`` nothing is learnt from that, with 0 ``around``
-    nothing from presses simulated around what is known of the cell.
+    With 0 ``probes`` only the wiring check is run; with 0 ``work`` nothing is learnt from work; with 0 ``around``
+    nothing from presses simulated around the known parameters of the cell.
     """
 
     checkpoint: Path
@@ -122,9 +122,9 @@ class Plan:
 
 
 def commission(cell: Cell, plan: Plan) -> Row:
-    """Probe, adapt and work in one cell; its row, see ``python -m simulation commission --help``.
+    """Probe, adapt and work in one cell; returns its row, see ``python -m simulation commission --help``.
 
-    Nothing goes on in a cell with a mistake: no version is played there, and all its counts are 0.
+    A cell with a mistake stops there: no version is played, and all its counts are 0.
     """
     signs: list[Row] = []
     for number, jobs in enumerate(cell.signs(), 1):
@@ -156,7 +156,7 @@ def commission(cell: Cell, plan: Plan) -> Row:
 
 
 def _lessons(plan: Plan) -> dict[str, tuple[str, int]]:
-    """From what each version is learnt, and how many episodes of it."""
+    """The source of each version's training, and its number of episodes."""
     lessons = {"after_50": ("probes", min(FEW, plan.probes))}
     if plan.probes > FEW:
         lessons["after_150"] = ("probes", plan.probes)
@@ -166,7 +166,7 @@ def _lessons(plan: Plan) -> dict[str, tuple[str, int]]:
 
 
 def _pressed_around(cell: Cell, plan: Plan) -> float:
-    """Press the cell's objects in simulated cells with what its client is given of grip and height; seconds of it."""
+    """Press the cell's objects in simulated cells with the grip and height given to its client; returns the seconds."""
     kept, known, out = (cell.folder / name for name in ("around.json", "around.toml", "around"))
     if not kept.exists():
         began, held = time.monotonic(), next(iter(cell.objects.values())).grasp
@@ -215,7 +215,7 @@ def _scored(cell: Cell, plan: Plan, name: str, models: Path) -> Row:
 
 
 def _adapted(cell: Cell, plan: Plan, name: str, source: str, count: int) -> tuple[Row, Path | None]:
-    """What ``training adapt`` says of the first ``count`` episodes, and where the new networks are if it accepts."""
+    """The verdict of ``training adapt`` on the first ``count`` episodes, and the new networks' folder if accepted."""
     shown, run = cell.folder / f"{name}-episodes", cell.folder / name
     kept, models, began = run / "verdict.json", run / "models", time.monotonic()
     if not kept.exists():
@@ -242,7 +242,7 @@ def _adapted(cell: Cell, plan: Plan, name: str, source: str, count: int) -> tupl
 
 
 def _call(package: str, *words: str) -> str:
-    """What a command said where it refused."""
+    """Call a command and return its output. Raises ContractError if it failed."""
     done = subprocess.run([sys.executable, "-m", package, *words], capture_output=True, text=True, check=False)
     text = done.stderr.strip() or done.stdout.strip()
     if done.returncode not in {0, REFUSED, STAYS}:

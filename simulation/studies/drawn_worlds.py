@@ -1,4 +1,4 @@
-"""The closed loop where nobody trained: worlds by Latin hypercube, drawn objects, every variant on the same starts."""
+"""The closed loop outside the training set: worlds by Latin hypercube, drawn objects, all variants on equal starts."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -29,12 +29,12 @@ COLUMNS: tuple[Any, ...] = (
     ("90 % holds yaw", "covered_theta", ".0%"),
     ("largest force N", "worst_force_n", ".0f"),
 )
-"""Of a table of insertions that were played, beside how many were claimed and inserted."""
+"""Figures of a table of played insertions, besides those of claims and insertions."""
 _TRIES = 50
 
 
 class Variant(NamedTuple):
-    """What plays: a title, networks, a controller, and whether the client tells a measured shear reach."""
+    """A variant: a title, networks, a controller, and whether the client sends a measured shear reach."""
 
     title: str
     models: Path
@@ -43,7 +43,7 @@ class Variant(NamedTuple):
 
 
 class Start(NamedTuple):
-    """One insertion before anybody plays it."""
+    """One insertion before it is played."""
 
     world: World
     scene: str
@@ -53,7 +53,7 @@ class Start(NamedTuple):
 
 
 def starts(worlds: Sequence[World], objects: Sequence[str], count: int, seed: int) -> list[Start]:
-    """``count`` insertions, the worlds in turn, each with an object that can be held in it and a start, drawn."""
+    """``count`` insertions, the worlds in turn, each with a suitable object and a drawn start."""
     rng = np.random.default_rng((seed, 0xD2A))
     return [_start(worlds[index % len(worlds)], objects, rng) for index in range(count)]
 
@@ -71,7 +71,7 @@ def _start(world: World, objects: Sequence[str], rng: np.random.Generator) -> St
 
 
 def tasks(variants: Sequence[Variant], begun: Sequence[Start], seed: int, perception: str) -> list[Task]:
-    """Every start by every variant, one start after the other: a run cut short is still balanced."""
+    """Every start by every variant, start by start: an interrupted run is still balanced."""
     return [
         Task(
             variant.models,
@@ -95,7 +95,7 @@ def tasks(variants: Sequence[Variant], begun: Sequence[Start], seed: int, percep
 def report_of(
     rows: Sequence[Row], variants: Sequence[Variant], begun: Sequence[Start], setup: Mapping[str, Any]
 ) -> Row:
-    """What the page is written from, as plain data."""
+    """The data behind the page, as plain data."""
     reach = np.array([start.reach_pitches for start in begun])
     by_variant = {variant.title: rows[place :: len(variants)] for place, variant in enumerate(variants)}
     first = next(iter(by_variant.values()))

@@ -1,4 +1,4 @@
-"""Insertions and probes in lock step that keep what a recording keeps for learning: what the networks were shown."""
+"""Insertions and probes in lock step that store a recording's training data: the networks' inputs."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ from simulation.scene.state import PhysicsError
 
 @dataclass(frozen=True)
 class Episode:
-    """One insertion, or one probe that ends with its first decision, to play and keep in ``folder``.
+    """One insertion, or one probe that ends with its first decision, to play and store in ``folder``.
 
     ``until_slip``: a probe that presses on until the gel slides.
     """
@@ -34,9 +34,9 @@ class Episode:
 
 
 def play(episode: Episode) -> Row:
-    """In a worker: play and write what a recording keeps for learning; void where the physics came to its end.
+    """In a worker: play and write a recording's training data; void if the physics failed.
 
-    ``robot_s`` of the row is what the robot was busy for, the way to the fixture and back with it.
+    ``robot_s`` of the row: time of the robot, including the trip to the fixture and back.
     """
     done = episode.folder / "summary.json"
     if done.exists():
@@ -59,7 +59,7 @@ def play(episode: Episode) -> Row:
 
 def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row) -> None:
     episode.folder.mkdir(parents=True, exist_ok=True)
-    for number, attempt in enumerate(attempts, 1):  # those of each grasp begin with 1
+    for number, attempt in enumerate(attempts, 1):  # those of each grasp are numbered from 1
         kept = attempt.read_by_depth()
         if "steps" in kept:
             np.savez(episode.folder / f"attempt_{number:02d}.npz", **kept)  # type: ignore[arg-type]
@@ -73,19 +73,19 @@ def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row) -> 
 
 
 def carried_out(rows: Sequence[Row]) -> bool:
-    """Whether each of these probes was answered or went in; else the client would have stopped there."""
+    """Whether each of these probes was answered or inserted; else the client would have stopped there."""
     return not any(row["reason"] and not row["trials"] for row in rows)
 
 
 def named_mistakes(rows: Sequence[Row]) -> list[str]:
-    """How the cell of these probes at the client's four sides is wired wrong, by the client's own rule."""
+    """Wiring mistakes of the cell from these probes at the client's four sides, by the client's own rule."""
     if not carried_out(rows):
         return []
     return list(mistakes(tuple(_probe(row, *side) for row, side in zip(rows, SIDES, strict=True))))
 
 
 def _probe(row: Row, x_mm: float, theta_deg: float) -> Probe:
-    """What the client would keep of a probe that it took for one at this error."""
+    """The client's record of a probe that it took for one at this error."""
     decision = row["trials"][0]["decision"] if row["trials"] else {}
     felt, turns = decision.get("estimate") or {}, decision.get("turns_deg")
     ending = f"{decision['reason']}: {decision['detail']}" if "detail" in decision else WENT_IN

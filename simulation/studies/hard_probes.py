@@ -1,6 +1,6 @@
 """Random hard probes: touchdown, edge on edge, friction from none to 2, soft and hard blocks, loss of grip.
 
-Each must end solved, with the object lost from the grasp, or refused by a typed reason; what is solved is finite,
+Each must end solved, with the object lost from the grasp, or refused by a typed reason. A solved probe is finite,
 balanced and inside the friction cones. The same (seed, number) is the same probe on every machine.
 """
 
@@ -20,7 +20,7 @@ from simulation.scene.scene import Scene
 from simulation.scene.state import CellState, PhysicsError
 from simulation.scene.worlds import load_scene, object_names
 
-RESIDUAL_N, CONE_N_PER_MM2 = 1e-6, 1e-9  # what a solved probe must keep
+RESIDUAL_N, CONE_N_PER_MM2 = 1e-6, 1e-9  # limits for a solved probe
 DEPTHS_MM = (5.05, 5.6, 6.5, 5.2)  # just touching, sliding, deep, and back up
 CHUNK = 50
 FOREIGN = "foreign"
@@ -28,12 +28,12 @@ RUBBER = {"gel.poisson_ratio": 0.48, "gel.margin_mm": [1.0, 1.0]}  # of the fore
 
 
 class ImpossibleStateError(AssertionError):
-    """A probe that calls itself solved broke a promise: a non-finite number, a residual, a friction cone."""
+    """A probe reported as solved violates a guarantee: a non-finite number, a residual, a friction cone."""
 
 
 @dataclass(slots=True)
 class Tally:
-    """How hard probes ended: outcome or "refused: reason" -> count; the worst figures of what was solved."""
+    """How hard probes ended: outcome or "refused: reason" -> count; the worst figures of the solved ones."""
 
     ended: Counter[str] = field(default_factory=Counter)
     worst_residual_n: float = 0.0
@@ -76,7 +76,7 @@ def hard_scene(rng: np.random.Generator, tier: str) -> Scene:
 
 
 def hard_probe(seed: int, number: int, tier: str, tally: Tally) -> str:
-    """One probe; gives how it ended and notes it. Raises ImpossibleStateError where a promise is broken."""
+    """Run one probe, tally it and return its outcome. Raises ImpossibleStateError on a violated guarantee."""
     rng = np.random.default_rng((seed, number))
     start = time.process_time()
     try:
@@ -106,7 +106,7 @@ def _descend(scene: Scene, rng: np.random.Generator, tier: str, tally: Tally) ->
 
 
 def _cone(cell: QuasiStaticCell | ForeignCell) -> float:
-    """How far friction is outside its cone at the worst node, N/mm2."""
+    """Excess of friction over its cone at the worst node, N/mm2."""
     if isinstance(cell, QuasiStaticCell):
         return float(cell.state["report"][4])
     terms = cell.pads.evaluate(cell.grip, cell.pads.planes(cell.held, cell.grip.on), cell.grip.on, None)
@@ -119,7 +119,7 @@ def _check(cell: QuasiStaticCell | ForeignCell, state: CellState) -> None:
     if not all(np.isfinite(array).all() for array in numbers):
         raise ImpossibleStateError(f"{cell.scene.name}: a non-finite number at TCP {cell.pose.tolist()}")
     cone = _cone(cell)
-    # finite elements are at rest where no node is amiss by more than the residual, whatever it stands for
+    # finite elements are at rest if no node violates its law by more than the residual, whatever its area
     most = CONE_N_PER_MM2 if isinstance(cell, QuasiStaticCell) else RESIDUAL_N / float(cell.pads.area.min())
     if not (state.residual_n <= RESIDUAL_N and cone <= most):
         raise ImpossibleStateError(
@@ -137,6 +137,6 @@ def _chunk(work: tuple[int, int, int, str]) -> Tally:
 
 
 def run(count: int, seed: int, tier: str, workers: int, done: int = 0) -> Iterator[Tally]:
-    """Tallies of chunks of probes done .. count - 1 in order, from that many processes (0: one a core)."""
+    """Tallies of chunks of probes done .. count - 1 in order, from ``workers`` processes (0: one per core)."""
     chunks = [(seed, first, min(CHUNK, count - first), tier) for first in range(done, count, CHUNK)]
     return results(_chunk, chunks, workers, in_order=True)

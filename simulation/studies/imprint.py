@@ -1,4 +1,4 @@
-"""What the simulated sensor sees, object by object, to compare with a real one."""
+"""The simulated sensor's pictures, object by object, for comparison with a real one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Options:
     out: Path = Path("docs/imprint.png")
     """PNG file to write."""
     objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ("rectangle", "circle", "vitamin")
-    """Scenes to show, one a row."""
+    """Scenes to show, one per row."""
     x_mm: float = 8.0
     """Position error of the poke."""
     theta_deg: float = 6.0

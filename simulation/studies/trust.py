@@ -1,7 +1,7 @@
-"""Claims under adversity: insertions drawn from faults, worlds, objects and starts, and the page of what was claimed.
+"""Claims under adversity: insertions with drawn faults, worlds, objects and starts, and the page of their claims.
 
-What counts first is a claim that is not true. A claim is only as good as the ground truth that it is held against
-(`simulation.scene.ground_truth`), so both the claims and the truths that were not claimed are counted.
+The main count is of false claims. A claim is only as good as the ground truth against which it is checked
+(`simulation.scene.ground_truth`), so both the claims and the unclaimed insertions are counted.
 """
 
 from collections import Counter, defaultdict
@@ -24,7 +24,7 @@ from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World
 
 NAME = "trust"
-FAULT_FREE, MISTAKEN = 0.45, 0.1  # of all insertions; the rest have a fault
+FAULT_FREE, MISTAKEN = 0.45, 0.1  # shares of all insertions; the rest have a fault
 KINDS: tuple[Kind, ...] = ("dark", "frozen", "stuck", "dropped")
 BLIND: tuple[tuple[Finger, ...], ...] = (("left",), ("right",), FINGERS)
 CONTACT_MM, DEEPEST_MM = 6.0, 24.0  # half of the faults begin before most objects touch, half on the way to full depth
@@ -63,7 +63,7 @@ def tasks(
 
 
 def _fault(rng: np.random.Generator) -> tuple[str, Fault | Mapping[str, Any]]:
-    """What goes wrong, by name: a fault on the way, a mistake of a first day, or nothing."""
+    """The fault by name: a fault on the way, a mistake of a first day, or nothing."""
     share = rng.random()
     if share < FAULT_FREE:
         return WITHOUT, {}
@@ -78,7 +78,7 @@ def _fault(rng: np.random.Generator) -> tuple[str, Fault | Mapping[str, Any]]:
 
 
 def figures(rows: Sequence[Row]) -> Row:
-    """What is counted of some insertions; ``good_refused`` ended in the gap by the ground truth, not claimed."""
+    """Counts of some insertions; ``good_refused`` ended in the gap by the ground truth, not claimed."""
     return {
         "insertions": len(rows),
         "claimed": sum(row["claimed"] for row in rows),

@@ -1,1 +1,1 @@
-"""What the operator's page shows: its state and alarms, its pictures, and insertions of the past."""
+"""Contents of the operator's page: its state and alarms, its pictures, and past insertions."""

@@ -1,4 +1,4 @@
-"""Alarms: each stays until a person has acknowledged it, also over a restart of the service."""
+"""Alarms: each stays until a person has acknowledged it, also across a restart of the service."""
 
 import contextlib
 import json
@@ -16,10 +16,10 @@ FILE = "alarms.json"
 
 @dataclass(slots=True)
 class Alarm:
-    """``key`` names what is wrong: while one of a key is not acknowledged, the same again only counts.
+    """``key`` names the fault: while an alarm with the same key is unacknowledged, a repetition is only counted.
 
-    ``at_s`` is the wall clock of the last time; ``acknowledged_s`` None until a person has seen it. ``remedy`` is what
-    to do, ``insertion_id`` the insertion that it ended.
+    ``at_s`` is the wall clock of the last occurrence; ``acknowledged_s`` None until a person has acknowledged it.
+    ``remedy``: the operator's action, ``insertion_id``: the insertion that it ended.
     """
 
     number: int
@@ -35,7 +35,7 @@ class Alarm:
 
 
 class Alarms:
-    """The newest alarms, kept in a file. One thread at a time."""
+    """The newest alarms, stored in a file. One thread at a time."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -62,7 +62,7 @@ class Alarms:
         return alarm
 
     def acknowledge(self, number: int) -> bool:
-        """A person has seen it; False if there is no such alarm."""
+        """Acknowledge an alarm on a person's behalf; False if there is no such alarm."""
         alarm = next((a for a in self.all if a.number == number), None)
         if alarm is None:
             return False
@@ -71,5 +71,5 @@ class Alarms:
         return True
 
     def _keep(self) -> None:
-        with contextlib.suppress(OSError):  # a full disk is an alarm of its own
+        with contextlib.suppress(OSError):  # a full disk raises its own alarm
             write_whole(self._path, json.dumps([asdict(alarm) for alarm in self.all]))

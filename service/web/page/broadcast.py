@@ -1,4 +1,4 @@
-"""What the pages show, made once however many look on: pictures and the state of the cell, as the JSON each gets."""
+"""Data for all open pages, made once for all of them: pictures and the state of the cell, as JSON."""
 
 import asyncio
 import base64
@@ -22,12 +22,12 @@ from service.web.page.status import Status
 
 PERIOD_S = 0.15
 STATUS_S = 1.0
-FRESH_NS = 2_000_000_000  # after an insertion the last observation is shown so long
+FRESH_NS = 2_000_000_000  # how long the last observation is shown after an insertion
 _display = ThreadPoolExecutor(1, "display")  # drawing never delays a decision
 
 
 def picture(frame: CameraFrame, observation: Observation | None, rectifier: Rectifier | None) -> dict[str, Any]:
-    """What the page draws of one finger: a JPEG, and if it was perceived just now its markers, and which slip."""
+    """One finger for the page: a JPEG and, if it has just been perceived, its markers, and which of them slip."""
     if observation is not None:
         field, slip = observation.field, observation.slip
         drawn = shown(observation.finger, observation.image, slip.state, float(slip.score))
@@ -45,14 +45,14 @@ def picture(frame: CameraFrame, observation: Observation | None, rectifier: Rect
 
 
 def kinds(valid: NDArray[Any], slipping: NDArray[Any], sticking: NDArray[Any]) -> list[int]:
-    """What to show of each marker: -1 not seen, 0 outside the contact, 1 sticks, 2 slips (one array a kind)."""
+    """Class of each marker for display, row by row: -1 not visible, 0 outside the contact, 1 sticks, 2 slips."""
     shown = np.where(slipping, 2, np.where(sticking, 1, 0))
     codes: list[int] = np.where(valid, shown, -1).ravel().tolist()
     return codes
 
 
 def shown(finger: Finger, pixels: NDArray[np.uint8], state: str, score: float) -> dict[str, Any]:
-    """A grey JPEG, so that the colours are those of the arrows; it is smaller, too."""
+    """A grey JPEG, so that all colours are those of the arrows; it is smaller, too."""
     height, width = pixels.shape[:2]
     jpeg = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), [cv2.IMWRITE_JPEG_QUALITY, 80])[1]
     content = base64.b64encode(jpeg.tobytes()).decode()
@@ -65,7 +65,7 @@ def _text(kind: str, content: Any) -> str:
 
 @dataclass(slots=True, eq=False)
 class Page:
-    """What one page has not been sent yet: of the state and of each picture the newest alone."""
+    """Data not yet sent to one page: only the newest state and the newest of each picture."""
 
     newest: dict[str, str] = field(default_factory=dict)
     _woken: asyncio.Event = field(default_factory=asyncio.Event)
@@ -82,7 +82,7 @@ class Page:
 
 
 class Broadcast:
-    """Makes the texts while a page is open. Its methods belong to the event loop."""
+    """Builds the texts while a page is open. Its methods belong to the event loop."""
 
     def __init__(self, station: Station, status: Status) -> None:
         self._station, self._status = station, status
@@ -94,7 +94,7 @@ class Broadcast:
 
     @contextlib.contextmanager
     def page(self) -> Iterator[Page]:
-        """A page that is open while the context lasts; the first starts the work, the last ends it."""
+        """A page that is open for the duration of the context; the first one starts the work, the last one ends it."""
         page = Page(newest=dict(self._last))
         self._pages.add(page)
         if len(self._pages) == 1:
@@ -134,14 +134,14 @@ class Broadcast:
             await asyncio.sleep(PERIOD_S)
 
     def _felt(self, finger: Finger) -> Observation | None:
-        """What was judged last, while its insertion runs; between attempts nothing is judged and that stays true."""
+        """The last observation, while its insertion runs; between attempts nothing is judged and it stays valid."""
         felt, active = self._station.hub.observations.get(finger), self._station.active
         if felt is None or (active is not None and felt.captured_ns > active.opened_ns):
             return felt
         return felt if now_ns() - felt.captured_ns < FRESH_NS else None
 
     async def _show_status(self) -> None:
-        """Show the state after each change, and otherwise as often as its figures are worth."""
+        """Show the state after each change, and otherwise as often as its figures require."""
         shown_n, shown_s = -1, 0.0
         while True:
             changes_n, now_s = self._status.changes_n, asyncio.get_running_loop().time()

@@ -1,4 +1,4 @@
-"""A recorded insertion played back: curves on one time axis, and what both fingers felt at any moment of it."""
+"""Playback of a recorded insertion: curves on one time axis, and both fingers' observations at any moment of it."""
 
 import json
 from bisect import bisect_left
@@ -20,12 +20,12 @@ from service.recordings.writer import IMAGE
 from service.web.page.broadcast import kinds, shown
 from service.web.page.sentences import event
 
-PERIOD_NS = 50_000_000  # of the moments that can be looked at
+PERIOD_NS = 50_000_000  # of the selectable moments
 TOPICS = [*(f"/{finger}/markers" for finger in FINGERS), "/robot", "/messages"]
 
 
 class Curves:
-    """Collects the curves of a recording. Times are nanoseconds until they are told."""
+    """Collects the curves of a recording. Times are in ns until output."""
 
     def __init__(self) -> None:
         self.slip: dict[str, list[tuple[int, float]]] = {finger: [] for finger in FINGERS}
@@ -35,7 +35,7 @@ class Curves:
         self._rest: dict[str, float] = {}
 
     def markers(self, finger: str, at_ns: int, data: bytes) -> None:
-        """Slip, and how far the gel is sheared upwards since the attempt began, in marker pitches."""
+        """Slip, and the upward shear of the gel since the attempt began, in marker pitches."""
         markers = Markers.FromString(data)
         moved = np.array(markers.displacement_px, np.float32).reshape(-1, 2)
         valid = np.frombuffer(markers.valid, np.uint8) > 0
@@ -73,7 +73,7 @@ class Curves:
         }
 
     def _moments(self, start_ns: int) -> Iterator[dict[str, Any]]:
-        """At most one each ``PERIOD_NS``; stamps as text, because a browser's numbers are too short for them."""
+        """At most one per ``PERIOD_NS``; stamps as text, because JavaScript numbers cannot hold them."""
         left, right = ([at for at, _ in self.slip[finger]] for finger in FINGERS)
         last_ns = -PERIOD_NS
         for at in left if right else ():
@@ -84,7 +84,7 @@ class Curves:
 
 
 def timeline(path: Path) -> dict[str, Any]:
-    """The curves of a recording; raises RecordingError where it cannot be read."""
+    """The curves of a recording; raises RecordingError if it cannot be read."""
     curves = Curves()
     with path.open("rb") as stream:
         for topic, at_ns, data in _messages(make_reader(stream), TOPICS):
@@ -100,7 +100,7 @@ def timeline(path: Path) -> dict[str, Any]:
 
 
 def moment(path: Path, finger: Finger, at_ns: int) -> dict[str, Any]:
-    """What a finger felt at a stamp of the timeline, as the page draws it; RecordingError if there is nothing."""
+    """A finger's observation at a stamp of the timeline, as the page draws it; RecordingError if there is none."""
     pixels, markers = None, None
     with path.open("rb") as stream:
         reader = make_reader(stream)
@@ -114,7 +114,7 @@ def moment(path: Path, finger: Finger, at_ns: int) -> dict[str, Any]:
     if markers is None:
         raise RecordingError(f"{path.parent.name} has no markers of the {finger} finger at {at_ns}")
     if pixels is None:
-        pixels = np.zeros((320, 327, 3), np.uint8)  # left out for lack of room: the markers remain
+        pixels = np.zeros((320, 327, 3), np.uint8)  # dropped for lack of space: the markers remain
     elif calibration:
         rectify = _rectifier(calibration, finger)
         pixels = rectify.apply(pixels) if pixels.shape == rectify.camera.raw.shape else pixels
@@ -146,7 +146,7 @@ def _pitch(markers: Any) -> float:
 
 @lru_cache(maxsize=4)
 def _rectifier(calibration: str, finger: Finger) -> Rectifier:
-    """Of a calibration's text; raises RecordingError where it is none."""
+    """The rectifier from a calibration's text; raises RecordingError if it is invalid."""
     try:
         return Rectifier(Calibration.parse(calibration.encode(), "it").camera(finger))
     except ValueError as error:

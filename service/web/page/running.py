@@ -15,11 +15,11 @@ GHOSTS_N = 24
 
 @dataclass(slots=True)
 class Running:
-    """What is known of one insertion; poses are (x mm, yaw deg) of the object relative to the gap, None: not known.
+    """State of one insertion; poses are (x mm, yaw deg) of the object relative to the gap, None: unknown.
 
-    ``ghosts`` are poses drawn from the belief, evenly by probability: the more alike, the surer. ``target`` is where
-    the move leads. ``afresh_n``: how often the object was regrasped, after ``earlier_n`` attempts in all, which
-    ``attempt`` counts, too. ``depth_mm`` is below the start of the descent.
+    ``ghosts`` are poses drawn from the belief, evenly by probability: the closer together, the more certain. ``target``
+    is the destination of the move. ``afresh_n``: number of regrasps, after ``earlier_n`` attempts in all, which
+    ``attempt`` includes. ``depth_mm``: below the start of the descent.
     """
 
     insertion_id: str
@@ -40,7 +40,7 @@ class Running:
     problem: str = ""
 
     def goes_on(self, insertion_id: str) -> "Running":
-        """The insertion that goes on with this one's object; what was not armed was no attempt."""
+        """The insertion that continues with this one's object; an unarmed attempt does not count."""
         tried_n = self.attempt - 1
         again = replace(self, insertion_id=insertion_id, phase="start", attempt=tried_n, problem="", depth_mm=None)
         again.afresh_n, again.earlier_n = self.afresh_n + 1, tried_n
@@ -110,7 +110,7 @@ class Running:
         }
 
     def _moved(self) -> None:
-        """The move was made: the object is where it led, as surely as before."""
+        """Apply the move: the object is at its destination, with unchanged certainty."""
         if self.pose is None or self.target is None:
             return
         dx, dtheta = self.target[0] - self.pose[0], self.target[1] - self.pose[1]

@@ -1,4 +1,4 @@
-"""What the page says, in plain words. Left, right and turns are those of the page's drawing, seen from above."""
+"""The page's texts, in plain words. Left, right and turns are those of the page's drawing, seen from above."""
 
 from collections.abc import Callable
 from typing import Any
@@ -58,7 +58,7 @@ def shift(dx_mm: float, dtheta_deg: float) -> str:
 
 
 def ended(outcome: str, cause: str | None, attempts_n: int, named: str = "", afresh_n: int = 0) -> str:
-    """How an insertion ended; ``afresh_n``: how often the object was put back and regrasped for it."""
+    """How an insertion ended; ``afresh_n``: how often the object was put back and regrasped."""
     if outcome == "inserted":
         what = named[:1].upper() + named[1:] if named else "Object"
         again = f", regrasped {TIMES.get(afresh_n, f'{afresh_n} times')}" if afresh_n else ""
@@ -81,7 +81,7 @@ LINES: dict[type, Callable[[Any], str]] = {
 
 
 def event(message: Any, earlier_n: int = 0) -> str:
-    """One line for the list of what happened; empty for what a person need not know.
+    """One line for the list of events; empty for those that do not concern a person.
 
     ``earlier_n``: attempts before the object was regrasped.
     """
@@ -98,7 +98,7 @@ def changed(version: dict[str, str]) -> str:
 
 
 def versions(state: State) -> list[str]:
-    """The version that decides, and what runs beside it with the evidence so far; nothing where nothing does."""
+    """The version that decides, and those beside it with the evidence so far; empty without any."""
     beside = [("shadow", state.shadow), ("before", state.previous)]
     shown = [_rival(part, rival, state.enough) for part, rival in beside if rival is not None]
     return [f"version {state.active.version[:SHORT_N]} decides", *shown] if shown else []

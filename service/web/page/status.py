@@ -1,4 +1,4 @@
-"""The state of the cell as the page shows it: one snapshot that a page gets on connecting and after each change."""
+"""The state of the cell for the page: one snapshot, sent on connecting and after each change."""
 
 import threading
 import time
@@ -17,14 +17,14 @@ from service.web.page.running import Running
 from service.web.page.sentences import CHARTS, PHASES, changed, ended, event, versions
 
 EVENTS_N = 30
-AFRESH_S = 90.0  # the way to the fixture and back takes some 17 s in the simulated cell
+AFRESH_S = 90.0  # the trip to the fixture and back takes about 17 s in the simulated cell
 SHOWN_ALARMS_N = 20
 CAMERA_REMEDY = "Check cable and power of that finger. It comes back by itself."
 
 
 @dataclass(frozen=True, slots=True)
 class Last:
-    """How the last insertion ended; ``seconds`` it took, None where that was not recorded."""
+    """How the last insertion ended; ``seconds``: its duration, None if not recorded."""
 
     insertion_id: str
     outcome: str
@@ -44,7 +44,7 @@ class Status:
         self._alarms = Alarms(station.settings.recordings / FILE)
         self._lock = threading.Lock()
         self._running: Running | None = None
-        self._put_back: Running | None = None  # its object is on the way to be regrasped
+        self._put_back: Running | None = None  # its object is being taken to a regrasp
         self._continues: str | None = None
         self._last = _newest(station)
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_N)
@@ -73,7 +73,7 @@ class Status:
         hub.subscribe(on_event)
 
     def _note_interrupted(self) -> None:
-        """An insertion that a crash of the service cut off is an alarm, too: nobody saw how it ended."""
+        """Raise an alarm for an insertion interrupted by a crash of the service: its end is unknown."""
         last = self._last
         key = f"insertion {last.insertion_id}" if last else ""
         if last and last.outcome == "interrupted" and not any(alarm.key == key for alarm in self._alarms.all):
@@ -97,7 +97,7 @@ class Status:
             self._running.from_service(message)
 
     def _begin(self, insertion_id: str) -> None:
-        """An insertion opens: a new one, or one that goes on with a regrasped object."""
+        """An insertion opens: a new one, or one that continues with a regrasped object."""
         before, self._put_back = self._put_back, None
         if before is not None and before.insertion_id == self._continues:
             self._running = before.goes_on(insertion_id)
@@ -167,7 +167,7 @@ class Status:
             self._alarms.sound("version", "warning", "The networks of before decide again", **facts)
 
     def acknowledge(self, number: int) -> bool:
-        """A person has seen an alarm; False if there is no such alarm."""
+        """Acknowledge an alarm on a person's behalf; False if there is no such alarm."""
         with self._lock:
             self.changes_n += 1
             return self._alarms.acknowledge(number)
@@ -199,7 +199,7 @@ class Status:
             }
 
     def _note_overdue(self) -> None:
-        """The arm that should regrasp an object may have stopped on its way, where the service hears nothing."""
+        """Note an overdue regrasp: the arm may have stopped on its way, where the service hears nothing."""
         waiting, last = self._put_back, self._last
         if waiting is None or last is None or last.at_s is None or time.time() - last.at_s < AFRESH_S:
             return
@@ -210,7 +210,7 @@ class Status:
         self._alarms.sound(f"insertion {named}", "stop", title, **facts)
 
     def _headline(self, health: dict[str, Any]) -> dict[str, str]:
-        """The most important thing now: a stop that nobody has acknowledged, else what is going on."""
+        """The most important fact now: an unacknowledged stop, else the present activity."""
         bad = [finger for finger in FINGERS if health["cameras"][finger]["state"] != "live"]
         stop = next((alarm for alarm in self._alarms.open if alarm.level == "stop"), None)
         if self._running is not None:
@@ -234,7 +234,7 @@ class Status:
         return {"level": "good", "words": "Ready for the next object", "detail": ""}
 
     def _is_active(self, key: str) -> bool:
-        """Whether what an alarm is about still holds, as far as that can be seen."""
+        """Whether an alarm's fault still exists, as far as can be determined."""
         what, _, name = key.partition(" ")
         if what == "camera":
             return any(finger == name and self._station.cameras[finger].state != "live" for finger in FINGERS)
@@ -258,7 +258,7 @@ class Status:
 
 
 def _newest(station: Station) -> Last | None:
-    """How the last insertion ended before this start of the service."""
+    """How the last insertion before this start of the service ended."""
     listed, _ = list_recordings(station.settings.recordings, most_n=1)
     if not listed:
         return None

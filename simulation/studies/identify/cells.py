@@ -1,4 +1,4 @@
-"""Drawn cells that press as a commissioning does: what the posterior is fitted to, and what it is judged on."""
+"""Drawn cells that press as in a commissioning: for fitting the posterior and for evaluating it."""
 
 import math
 from collections.abc import Mapping
@@ -26,15 +26,16 @@ SAVES: Mapping[Play, Mapping[str, Any]] = {
     "closer": {"numerics.settle_mm": SETTLE_MM},
     "whole": {},
 }
-"""What cells save that are not judged on: coarser pads move Poisson's ratio by a twentieth of its range, so that only
-others calibrate intervals. The arm of both starts closer above the tops."""
+"""Simplifications of cells not used for evaluation. Coarser pads shift Poisson's ratio by a twentieth of its range, so
+only other cells calibrate intervals. The arm of both starts closer above the tops.
+"""
 CLOSER_MM = 2.0
 GRIP_TO_HALVE_N = 20.0
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A drawn cell with the rectangle that it presses. Everything about it follows from its number."""
+    """A drawn cell with the rectangle that it presses, fully determined by its number."""
 
     number: int
     folder: Path
@@ -44,7 +45,7 @@ class Cell:
 
     @property
     def tables(self) -> drawn.Tables:
-        """Its world, and under `object` what it holds."""
+        """Its world, with the held object under `object`."""
         rng = np.random.default_rng((self.number, 0x1D))
         tables = drawn.draw_world(rng)
         tables["gel"]["tier"] = self.tier
@@ -60,7 +61,7 @@ def second_grip_n(grip_n: float) -> float:
 
 
 def pressed(cell: Cell) -> dict[str, Any]:
-    """In a worker: the cell's truth, and the numbers that its probes show or why they show none."""
+    """In a worker: the cell's ground truth, and the numbers from its probes or why there are none."""
     tables = cell.tables
     row: dict[str, Any] = {"number": cell.number, "play": cell.play, "tables": tables}
     try:

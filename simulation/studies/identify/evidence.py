@@ -1,7 +1,7 @@
-"""What probes show of a gel, as numbers: how it shears as it is pressed, how it lets go, how a grip bulges it.
+"""Numbers from probes about a gel: its shear under a press, its release, and its bulge under a grip.
 
-Two presses until slip, turned so that they touch on both sides, are made at each of two grips; the probes that ask for
-signs are the rest. By symmetry both fingers and both sides show the same: their fields are laid over each other.
+Two presses until slip, turned so that they touch on both sides, are made at each of two grips; the other probes are
+those of the wiring check. By symmetry both fingers and both sides show the same: their fields are superposed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 AT = (0, 1, 2, 4, 7, 10, 14, 19)
-"""Steps of depth at which the motion is read; of a press that ended before, its end."""
+"""Steps of depth at which the motion is read; for a press that ended before, its end."""
 EARLY, LATE = 2, -1
 CORE = slice(3, 10)
 """Rows and columns of the lattice that lie within the pad's middle."""
@@ -21,10 +21,10 @@ NOISE_MM, NOISE_PX = 3e-3, 0.05
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """What one probe showed. ``steps`` [n, 2, rows, columns, 3] are those of depth, in mm: see `DepthSteps`.
+    """Observations of one probe. ``steps`` [n, 2, rows, columns, 3] are those of depth, in mm: see `DepthSteps`.
 
-    ``markers_px`` [2, marker rows, marker columns, 2] is where the markers were before the descent, NaN where they were
-    not found; ``x_mm`` and ``yaw_deg`` the error that it began at, ``grip_n`` the fingers' force.
+    ``markers_px`` [2, marker rows, marker columns, 2]: marker positions before the descent, NaN where not found;
+    ``x_mm`` and ``yaw_deg``: its initial error, ``grip_n``: the fingers' force.
     """
 
     x_mm: float
@@ -50,7 +50,7 @@ def numbers_of(
 
 
 def _folded(touch: Touch) -> Floats:
-    """Both fingers' steps [n, rows, columns, 2] in mm laid over each other, as the left finger sees a push at +x."""
+    """Both fingers' steps [n, rows, columns, 2] in mm, superposed, as the left finger sees a push at +x."""
     right_side = touch.x_mm > 0.0 or (touch.x_mm == 0.0 and touch.yaw_deg > 0.0)
     fields = np.where(touch.steps[..., 2:] > 0.0, touch.steps[..., :2], np.nan)
     turned = fields[:, :, :, ::-1] * (-1.0, 1.0)
@@ -63,7 +63,7 @@ def _together(touches: Sequence[Touch]) -> list[Floats]:
 
 
 def _sheared(touches: Sequence[Touch]) -> Floats:
-    """Motion, turn and unevenness of the pad's middle over depth, and how deep it went."""
+    """Motion, turn and unevenness of the pad's middle over depth, and the final depth."""
     rows = []
     for field in _together(touches):
         core = field[[min(at, len(field) - 1) for at in AT]][:, CORE, CORE]
@@ -78,7 +78,7 @@ def _sheared(touches: Sequence[Touch]) -> Floats:
 
 
 def _profiles(touches: Sequence[Touch]) -> Floats:
-    """How motion falls off towards the pad's edges, early and at the end: along it up and down, and to either side."""
+    """Decrease of the motion towards the pad's edges, early and at the end: along it up and down, and sideways."""
     rows = []
     for field in _together(touches):
         for at in (min(EARLY, len(field) - 1), LATE):
@@ -90,7 +90,7 @@ def _profiles(touches: Sequence[Touch]) -> Floats:
 
 
 def _bulged(firm: Sequence[Touch], light: Sequence[Touch]) -> Floats:
-    """How much further the firmer grip drives the markers outwards: by rows and by columns, from the middle out."""
+    """Additional outward motion of the markers under the firmer grip: by rows and by columns, from the middle out."""
     grown = np.nanmean([one.markers_px for one in firm], 0) - np.nanmean([one.markers_px for one in light], 0)
     down = np.nanmean(grown[..., 1], (0, 2))
     side = np.nanmean(grown[0, ..., 0] - grown[1, :, ::-1, 0], 0)
@@ -102,5 +102,5 @@ def _odd(line: Floats) -> Floats:
 
 
 def _log(values: Floats, least: float) -> Floats:
-    """Logarithm of sizes with their sign, straight where they are no larger than noise."""
+    """Signed logarithm of values, linear below the noise level."""
     return np.asarray(np.sign(values) * np.log1p(np.abs(values) / least), np.float64)

@@ -1,8 +1,9 @@
-"""What a gel may be like, given what its probes show: estimates with intervals, fitted to simulated cells.
+"""Posterior of a gel given its probes: estimates with intervals, fitted to simulated cells.
 
-Numbers that probes show are mapped on parameters by a ridge regression on random features (Rahimi and Recht 2007),
-how far it is off by a second one. Intervals are conformal on cells that were held out (Lei et al. 2018): of cells drawn
-alike, so many hold the truth, however wrong the regression is. What the numbers do not tell gets all of its range.
+Numbers from probes are mapped to parameters by a ridge regression on random features (Rahimi and Recht 2007), and to
+its error by a second one. Intervals are conformal on held-out cells (Lei et al. 2018): for cells drawn likewise, the
+stated share contains the truth, however wrong the regression is. A parameter that the numbers do not determine gets its
+full range.
 """
 
 import json
@@ -23,21 +24,21 @@ SHIPPED = Path(__file__).with_name("posterior.npz")
 LEVEL = 0.9
 FOLDS, AXES, RANDOM, STEEP = 10, 40, 400, 2.0
 UNCALIBRATED = "coarse"
-FAR = 5.0  # deviations from the middle, beyond which a number counts no more
+FAR = 5.0  # deviations from the middle, beyond which a number is clipped
 WIDEST = 0.8
-"""Of what nine of ten drawn cells span: an interval as wide adds nothing to what was known before."""
+"""Share of the span of nine of ten drawn cells: a wider interval adds no knowledge."""
 STRANGE = 1.5
-"""Times the strangest cell that it was fitted to; see `Posterior.strangeness`."""
+"""Limit relative to the strangest fitted cell; see `Posterior.strangeness`."""
 
 
 REACH = "shear_reach_mm"
-"""What the client may be given of the gel; no key of a world file."""
+"""The client's parameter of the gel; not a key of a world file."""
 
 
 class Parameter(NamedTuple):
     """One key of a world file's gel, or the shear reach, and its range over drawn cells.
 
-    ``scale``: the one that it is even on.
+    ``scale``: the scale on which it is uniform.
     """
 
     key: str
@@ -46,7 +47,7 @@ class Parameter(NamedTuple):
     scale: str
 
     def share(self, value: Any) -> Any:
-        """Where values lie in the range, 0..1, on its scale."""
+        """Position of values in the range, 0..1, on its scale."""
         low, high = (self._on_scale(end) for end in (self.low, self.high))
         return (self._on_scale(value) - low) / (high - low)
 
@@ -83,7 +84,7 @@ def truth_of(tables: Mapping[str, Any]) -> Floats:
 
 
 class Interval(NamedTuple):
-    """Of one parameter: the estimate, its 90 % interval, and the interval's width over that of drawn cells."""
+    """For one parameter: the estimate, its 90 % interval, and the interval's width over that of drawn cells."""
 
     key: str
     estimate: float
@@ -99,7 +100,7 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True)
 class Posterior:
-    """``about`` says how it was made, and the ranges of what a cell tells that it was fitted in."""
+    """``about``: how it was made, and the fitted ranges of a cell's stated parameters."""
 
     middle: Floats
     spread: Floats
@@ -118,11 +119,11 @@ class Posterior:
         return at, low, high
 
     def strangeness(self, numbers: Floats) -> float:
-        """RMS of the whitened numbers: about 1 for a cell like those that it was fitted to."""
+        """RMS of the whitened numbers: about 1 for a cell like the fitted ones."""
         return float(np.sqrt(np.mean(np.square(self._scaled(numbers) @ self.axes))))
 
     def intervals(self, numbers: Floats) -> list[Interval]:
-        """What one cell's numbers [p] tell of each parameter. Raises ContractError for numbers like no drawn cell's."""
+        """Intervals of each parameter from one cell's numbers [p]. Raises ContractError if no drawn cell is similar."""
         if not np.isfinite(numbers).all():
             raise ContractError("the probes show too few markers: numbers are missing")
         if (strange := self.strangeness(numbers[None])) > (most := STRANGE * float(self.about["strangest"])):
@@ -145,7 +146,7 @@ class Posterior:
 
 
 def load(path: Path = SHIPPED) -> Posterior:
-    """The posterior that ships, or another. Raises ContractError."""
+    """The released posterior, or another. Raises ContractError."""
     try:
         with np.load(path) as stored:
             arrays = {name: stored[name].astype(np.float64) for name in stored.files if name != "about"}
@@ -157,8 +158,8 @@ def load(path: Path = SHIPPED) -> Posterior:
 def fit(numbers: Floats, truth: Floats, kinds: NDArray[np.str_], about: Mapping[str, Any], seed: int = 0) -> Posterior:
     """Fit it to cells: numbers [n, p], truth [n, parameters] as shares, ``kinds`` [n] of cells.
 
-    Intervals are calibrated on each kind but UNCALIBRATED by itself, on each cell by what was fitted without its fold,
-    and hold for the kind that needs the widest: nobody knows of which kind a real gel is.
+    Intervals are calibrated separately on each kind except UNCALIBRATED, on each cell by a fit without its fold. They
+    apply to the kind that needs the widest, because the kind of a real gel is unknown.
     """
     middle, spread = np.median(numbers, 0), np.maximum(numbers.std(0), 1e-6)
     scaled = np.clip((numbers - middle) / spread, -FAR, FAR)
@@ -179,7 +180,7 @@ def fit(numbers: Floats, truth: Floats, kinds: NDArray[np.str_], about: Mapping[
 
 
 def _held_out(features: Floats, wanted: Floats, folds: NDArray[np.int64], against: Floats) -> Floats:
-    """``against`` less what a ridge says of each fold that was fitted to the others."""
+    """``against`` minus the ridge's prediction for each fold from the others."""
     out = np.empty_like(wanted)
     for fold in range(FOLDS):
         held = folds == fold
@@ -191,7 +192,7 @@ PENALTIES = 10.0 ** np.arange(-1.0, 4.0, 0.5)
 
 
 def _ridge(features: Floats, wanted: Floats) -> Floats:
-    """Weights [features, parameters], each with the penalty that serves it best by generalised cross-validation."""
+    """Weights [features, parameters], each with the best penalty by generalised cross-validation."""
     middle = wanted.mean(0)
     left, sizes, right = np.linalg.svd(features[:, 1:] - features[:, 1:].mean(0), full_matrices=False)
     along = left.T @ (wanted - middle)
@@ -207,7 +208,7 @@ def _ridge(features: Floats, wanted: Floats) -> Floats:
 
 
 def _expanded(scaled: Floats) -> Floats:
-    """1, the numbers themselves, and random features of them, the same for ever."""
+    """1, the numbers themselves, and fixed random features of them."""
     rng = np.random.default_rng(0x1D)
     weights = rng.normal(0.0, STEEP / math.sqrt(scaled.shape[1]), (scaled.shape[1], RANDOM))
     hidden = np.tanh(scaled @ weights + rng.uniform(-1.5, 1.5, RANDOM))

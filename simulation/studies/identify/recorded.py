@@ -1,4 +1,4 @@
-"""The probes of a commissioning as their recordings keep them, sorted out for what they tell of the gel."""
+"""The probes of a commissioning from their recordings, sorted for identifying the gel."""
 
 import json
 from collections import defaultdict
@@ -16,20 +16,20 @@ from simulation.studies.identify.evidence import Floats, Touch, numbers_of
 
 GRIPS_N = (10.0, 40.0)
 GRIPS_APART = (1.8, 2.2)
-"""The firmer over the lighter grip."""
+"""Ratio of the firmer to the lighter grip."""
 WIDTH_MM, DEPTH_MM = (40.0, 110.0), (40.0, 100.0)
-"""Of the rectangle that presses: its faces cover the pads, and turned it lies on both sides of its gap."""
-AT_MM, AT_DEG = 0.5, 1.0  # of where a press or a probe for signs begins
+"""Least size of the pressing rectangle: its faces cover the pads, and turned it lies on both sides of its gap."""
+AT_MM, AT_DEG = 0.5, 1.0  # tolerance of the start of a press or of a wiring probe
 
 
 class Sorted(NamedTuple):
-    """Probes for signs, and presses by grip: first the cell's own, at which the first signs were asked for."""
+    """Wiring probes, and presses by grip: first the cell's own, used by the first wiring probes."""
 
     signs: Sequence[Touch]
     presses: Mapping[float, Sequence[Touch]]
 
     def numbers(self, scene: Scene) -> Floats:
-        """What they show, of a part that the posterior was fitted for. Raises ContractError."""
+        """Their numbers, for a part that the posterior was fitted for. Raises ContractError."""
         body = scene.object
         for name, value, (low, high) in (
             ("size_x_mm", body.size_x_mm, WIDTH_MM),
@@ -41,10 +41,10 @@ class Sorted(NamedTuple):
 
 
 def read(folder: Path) -> Sorted:
-    """The probes below ``folder``. Raises ContractError where they are not those that tell of a gel."""
+    """The probes below ``folder``. Raises ContractError if they cannot identify a gel."""
     touches = [one for path in sorted(folder.glob("*/summary.json")) for one in _touches(path)]
     signs = [one for one in touches if _begins(one, SIDES)]
-    signs = [one for one in signs if one.grip_n == signs[0].grip_n]  # those of a second commissioning tell no more
+    signs = [one for one in signs if one.grip_n == signs[0].grip_n]  # those of a second commissioning add nothing
     presses = defaultdict[float, list[Touch]](list)
     for one in touches:
         if _begins(one, PRESSES):
@@ -53,7 +53,7 @@ def read(folder: Path) -> Sorted:
 
 
 def sorted_out(signs: Sequence[Touch], presses: Mapping[float, Sequence[Touch]]) -> Sorted:
-    """Probes that are known by their kind. Raises ContractError where some are missing, or made at other grips."""
+    """Probes sorted by kind. Raises ContractError if some are missing, or made at other grips."""
     if not signs:
         raise ContractError("no probe for signs that touched; expected the recordings of a commissioning")
     own = signs[0].grip_n
@@ -80,7 +80,7 @@ def _begins(touch: Touch, places: Sequence[tuple[float, float]]) -> bool:
 
 
 def _touches(summary: Path) -> list[Touch]:
-    """What a probe showed; nothing where it touched nothing, or was no probe."""
+    """The observations of a probe; empty if it touched nothing, or was no probe."""
     try:
         content = json.loads(summary.read_text(encoding="utf-8"))
         if content.get("purpose") != "probe" or not (path := summary.with_name("attempt_01.npz")).exists():

@@ -1,4 +1,4 @@
-"""Fit the posterior to drawn cells, judge it on fresh ones, write what it says of a cell as a world file."""
+"""Fit the posterior to drawn cells, evaluate it on fresh ones, write a cell's estimates as a world file."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ from simulation.studies.identify.posterior import Interval, Posterior
 
 
 def identified(recordings: Path, scene: Scene, model: Posterior) -> tuple[float, list[Interval]]:
-    """The grip of a cell (N), and what the recordings of its commissioning tell of its gel. Raises ContractError."""
+    """The grip of a cell (N), and the intervals of its gel from its commissioning recordings. Raises ContractError."""
     sorted_probes = recorded.read(recordings)
     return next(iter(sorted_probes.presses)), model.intervals(sorted_probes.numbers(scene))
 
@@ -53,7 +53,7 @@ def as_json(grip_n: float, intervals: Sequence[Interval], model: Posterior) -> R
 
 
 def played(cells: Sequence[Cell], workers: int) -> Iterator[Row]:
-    """Each cell's truth and numbers, in order."""
+    """Each cell's ground truth and numbers, in order."""
     with progress("cells press (simulated)", len(cells)) as show:
         for done, row in enumerate(results(pressed, cells, workers, in_order=True), 1):
             show(done)
@@ -61,7 +61,7 @@ def played(cells: Sequence[Cell], workers: int) -> Iterator[Row]:
 
 
 def fitted(rows: Sequence[Row], about: Mapping[str, Any]) -> Posterior:
-    """The posterior of these cells, those that could not press left out."""
+    """The posterior of these cells, without those that could not press."""
     kept = [row for row in rows if "numbers" in row]
     numbers = np.array([row["numbers"] for row in kept])
     truth = np.array([posterior.truth_of(row["tables"]) for row in kept])
@@ -71,7 +71,7 @@ def fitted(rows: Sequence[Row], about: Mapping[str, Any]) -> Posterior:
 
 
 def scored(row: Row, model: Posterior) -> Row:
-    """A fresh cell: for each parameter the interval, the truth, and whether it is held; or why there is none."""
+    """A fresh cell: for each parameter the interval, the truth, and whether it is inside; or why there is none."""
     out = {"number": row["number"], "tier": row["tables"]["gel"]["tier"]}
     if "numbers" not in row:
         return {**out, "refused": row["refused"]}

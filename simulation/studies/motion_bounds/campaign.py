@@ -1,4 +1,4 @@
-"""Every fault in each of its phases, kept row by row, so that an interrupted campaign can continue."""
+"""Every fault in each of its phases, stored row by row, so that an interrupted campaign can resume."""
 
 import json
 from collections.abc import Callable
@@ -15,16 +15,16 @@ from simulation.studies.motion_bounds.play import row_of
 
 @dataclass(frozen=True)
 class BoundsOptions:
-    """Break live insertions on purpose; write motion_bounds.md and .json. Fails if a bound does not hold."""
+    """Inject faults into live insertions; write motion_bounds.md and .json. Fails if a bound does not hold."""
 
     out: Path = Path("docs")
     """folder of the page"""
     runs: Path = Path("runs/motion-bounds")
-    """where the broken insertions and their rows are kept; rows that are there are not measured again"""
+    """folder of the faulty insertions and their rows; existing rows are not measured again"""
     models: Path = field(default_factory=released_models)
     """folder with the networks"""
     only: str = ""
-    """measure only faults whose name holds this, and write no page"""
+    """measure only faults whose name contains this, and write no page"""
 
 
 def cases(only: str = "") -> list[tuple[Fault, Phase]]:

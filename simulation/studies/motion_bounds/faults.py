@@ -1,4 +1,4 @@
-"""What goes wrong while the arm moves: each fault, how it is brought about, and in which phases it is tried."""
+"""Faults during a motion of the arm: each one, its injection, and the phases in which it is tried."""
 
 import json
 import os
@@ -40,9 +40,9 @@ Inject = Callable[[Bench], None]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """``hides_s``: by how much a picture is older than its stamp; inf: from the fault on it shows nothing new.
+    """``hides_s``: age of a picture beyond its stamp; inf: from the fault on it shows nothing new.
 
-    ``bounded``: whether the lease bounds it; what it does not bound is measured all the same.
+    ``bounded``: whether the lease bounds it; unbounded faults are measured, too.
     """
 
     name: str

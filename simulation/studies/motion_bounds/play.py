@@ -1,4 +1,4 @@
-"""One fault in one phase of a live insertion over real sockets: how far the arm went on, how hard, and how it ended."""
+"""One fault in one phase of a live insertion over real sockets: overtravel, force, and outcome."""
 
 import contextlib
 import json
@@ -29,9 +29,9 @@ LOGGED: dict[Phase, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """``travel_mm`` after the capture of the last picture that showed the world and was judged; heights are the TCP's.
+    """``travel_mm`` after the capture of the last judged picture that showed the present; heights are the TCP's.
 
-    ``moved_mm``: the largest way after the arm had come to rest for good. ``injected``: whether the phase was met.
+    ``moved_mm``: the largest motion after the arm had come to rest for good. ``injected``: whether the phase occurred.
     """
 
     fault: str
@@ -48,13 +48,13 @@ class Row:
 
     @property
     def held(self) -> bool:
-        """Whether everything that must hold held."""
+        """Whether all guarantees held."""
         calm = not self.hung and not self.tracebacks and self.moved_mm <= MOVED_MM
         return calm and self.force_n <= MOST_N and (self.travel_mm <= BOUND_MM or not self.bounded)
 
 
 def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
-    """Bring the fault about in the first attempt; raises ChildError if the cell itself could not be started."""
+    """Inject the fault in the first attempt; raises ChildError if the cell itself could not be started."""
     relays: list[Relay] = []
 
     def through(url: str) -> str:
@@ -89,7 +89,7 @@ def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
 
 
 def _inject(fault: Fault, phase: Phase, bench: Bench) -> int | None:
-    """When, on the machine's steady clock, the fault began; None if the client ended before the phase came."""
+    """Start of the fault on the machine's steady clock; None if the client ended before the phase came."""
     top_mm = bench.loop.facts["approach"]["z_mm"]
     descending = LOGGED.get(phase) or '"motion": "descend"'
     while bench.loop.client.code is None:
@@ -117,11 +117,11 @@ def _ended(client: Child) -> bool:
 
 
 def _entries(folder: Path) -> list[dict[str, Any]]:
-    """Of all logs of the insertion: an object that is regrasped begins one of its own."""
+    """Entries of all logs of the insertion: each regrasp begins a new one."""
     logs = sorted(folder.glob("episode*.jsonl"), key=lambda log: (len(log.name), log.name))
     entries = []
     for line in [line for log in logs for line in log.read_text(errors="replace").splitlines()]:
-        with contextlib.suppress(json.JSONDecodeError):  # the client died while it wrote this line
+        with contextlib.suppress(json.JSONDecodeError):  # the client died while writing this line
             entries.append(json.loads(line))
     return entries
 
@@ -129,7 +129,7 @@ def _entries(folder: Path) -> list[dict[str, Any]]:
 def _travel_mm(
     trace: list[tuple[int, float]], entries: list[dict[str, Any]], fault: Fault, injected_ns: int | None
 ) -> float:
-    """The largest way down, over all descents, after the capture of the last picture that was judged in it."""
+    """The largest descent, over all descents, after the capture of the last picture judged in it."""
     travels = [0.0]
     for begin, begin_ns, end in _descents(entries):
         messages = [e["event"].get("message") or {} for e in entries[: _held(entries, begin)] if "event" in e]
@@ -151,13 +151,13 @@ _ANSWERS = {"armed", "watching", "slip"}
 
 
 def _held(entries: list[dict[str, Any]], begin: int) -> int:
-    """Index of the first hold after ``begin``: what is heard later renews nothing."""
+    """Index of the first hold after ``begin``: later messages renew nothing."""
     kinds = [entry.get("command", {}).get("kind") for entry in entries[begin:]]
     return begin + kinds.index("hold") if "hold" in kinds else len(entries)
 
 
 def _descents(entries: list[dict[str, Any]]) -> list[tuple[int, int, int]]:
-    """Of each descent its index, its begin on the steady clock, and the index of what ends it: a move, or the end."""
+    """For each descent its index, its begin on the steady clock, and the index of its end: a move, or the end."""
     descents: list[tuple[int, int, int]] = []
     begin, last_ns = None, 0
     for index, entry in enumerate(entries):
@@ -171,7 +171,7 @@ def _descents(entries: list[dict[str, Any]]) -> list[tuple[int, int, int]]:
 
 
 def _stamp_of(entries: list[dict[str, Any]], index: int) -> float:
-    """When the entry was made; inf past the last one."""
+    """Time of the entry; inf past the last one."""
     if index >= len(entries):
         return float("inf")
     stamps = [e["event"]["at_s"] for e in entries[:index] if "event" in e]
@@ -179,7 +179,7 @@ def _stamp_of(entries: list[dict[str, Any]], index: int) -> float:
 
 
 def _moved_mm(trace: list[tuple[int, float]], entries: list[dict[str, Any]]) -> float:
-    """How far the arm went after the last hold of the client and the time that a stop may take."""
+    """Motion of the arm after the last hold of the client and the allowed time of a stop."""
     holds, last_s = [], 0.0
     for entry in entries:
         last_s = entry.get("event", {}).get("at_s", last_s)
@@ -191,11 +191,11 @@ def _moved_mm(trace: list[tuple[int, float]], entries: list[dict[str, Any]]) -> 
 
 
 def row_of(fault: Fault, phase: Phase, options: RunOptions, folder: Path, tries: int = 3) -> dict[str, Any]:
-    """The row of one case; a run in which the phase was never met, as on a busy machine, is made again."""
+    """The row of one case; a run in which the phase never occurred, as on a busy machine, is repeated."""
     row = None
     for turn in range(tries):
         place = folder / f"{fault.name}-{phase}-{turn}".replace(" ", "_").replace(",", "")
-        shutil.rmtree(place, ignore_errors=True)  # of a campaign that was broken off
+        shutil.rmtree(place, ignore_errors=True)  # left by an interrupted campaign
         with contextlib.suppress(ChildError):
             row = play(fault, phase, options, place)
             if row.injected:

@@ -1,4 +1,4 @@
-"""A bad network between client and service: a TCP relay on a thread of its own, which can be made to misbehave."""
+"""A bad network between client and service: a TCP relay in its own thread, with switchable faults."""
 
 import asyncio
 import contextlib

@@ -1,1 +1,1 @@
-"""What accuracy costs in seconds a box: settings swept together on the same starts."""
+"""The cost of accuracy in seconds per box: settings compared on the same starts."""

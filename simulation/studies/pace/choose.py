@@ -1,4 +1,4 @@
-"""The choice of settings for what an integrator has: seconds a box, success, force."""
+"""The choice of settings for an integrator's needs: seconds per box, success, force."""
 
 from typing import NamedTuple
 
@@ -9,14 +9,14 @@ from simulation.scene.drawn import toml
 
 
 class Wanted(NamedTuple):
-    """What a cell needs: seconds a box at most, share of boxes inserted at least, force at most (95 %)."""
+    """A cell's needs: seconds per box at most, share of boxes inserted at least, force at most (95 %)."""
 
     seconds_a_box: float
     success: float
     force_n: float
 
     def short(self, point: Row, count: int) -> float:
-        """How far a choice falls short, in parts of what was asked for."""
+        """Shortfall of a choice, relative to the needs."""
         shares = (
             point["seconds_a_box"][0] / self.seconds_a_box - 1.0,
             (self.success - point["inserted"] / count) / max(1.0 - self.success, 0.01),
@@ -26,9 +26,9 @@ class Wanted(NamedTuple):
 
 
 def choose(data: Row, wanted: Wanted) -> tuple[Row, bool]:
-    """The quickest choice that keeps all three, and True; else the nearest, and False. Raises ValueError.
+    """The fastest choice that meets all three, and True; else the nearest, and False. Raises ValueError.
 
-    One with a false claim keeps nothing, and is nearest only where no other has fewer.
+    A choice with a false claim meets nothing, and is nearest only if no other has fewer.
     """
     if not (wanted.seconds_a_box > 0 and wanted.force_n > 0 and 0 < wanted.success <= 1):
         raise ValueError(f"{wanted}: expected seconds and force above 0, and a share above 0 up to 1")
@@ -38,7 +38,7 @@ def choose(data: Row, wanted: Wanted) -> tuple[Row, bool]:
 
 
 def summary(point: Row, count: int, wanted: Wanted, *, kept: bool) -> str:
-    """What was chosen and what it reached, simulated."""
+    """The choice and its results, simulated."""
     asked = f"{wanted.seconds_a_box:g} s a box, {wanted.success:.1%} inserted, {wanted.force_n:g} N"
     answer = "keeps" if kept else "NEAREST, nothing measured keeps"
     return (
@@ -52,7 +52,7 @@ def summary(point: Row, count: int, wanted: Wanted, *, kept: bool) -> str:
 
 
 def settings_toml(point: Row, count: int) -> str:
-    """The client's tables as a file, with what they rest on."""
+    """The client's tables as a file, with the evidence for them."""
     comment = (
         f"{point['name']}: {point['seconds_a_box'][0]:.2f} s a box in {count} simulated insertions.",
         "Where the cameras or the arm do not bear its fast legs, the descent probes all the way.",

@@ -1,4 +1,4 @@
-"""Which choices of settings no other beats by more than chance."""
+"""The choices of settings that no other beats by more than chance."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,7 +12,7 @@ def beaten_by(points: Sequence[Point], by_name: Mapping[str, Sequence[Row]]) -> 
     """For each point the names of those that beat it; every point has the same starts, in the same order.
 
     A choice beats another if it is better beyond chance (the 95 % interval of the paired difference excludes none) in
-    seconds a box, force, boxes or false claims, and worse beyond chance in none. Only choices that any cell can run
+    seconds per box, force, boxes or false claims, and worse beyond chance in none. Only choices that any cell can run
     beat others.
     """
     general = [point.name for point in points if not point.needs]
@@ -28,7 +28,7 @@ def _beats(rows: Sequence[Row], other: Sequence[Row]) -> bool:
 
 
 def _gains(rows: Sequence[Row], other: Sequence[Row]) -> list[Estimate]:
-    """How much lower the force is, how many more boxes are in, how many fewer claims are untrue: means a start."""
+    """Gains in force, inserted boxes and false claims: means per start."""
     pairs = list(zip(rows, other, strict=True))
     return [
         mean([theirs["course"]["force_n"] - mine["course"]["force_n"] for mine, theirs in pairs]),
@@ -42,7 +42,7 @@ def _untrue(row: Row) -> bool:
 
 
 def _sign(gain: Estimate, none: float) -> int:
-    """1 where the whole interval is better than ``none``, -1 where it is worse, 0 where chance would do it."""
+    """1 if the whole interval is better than ``none``, -1 if it is worse, 0 if chance may explain it."""
     return (gain.low > none) - (gain.high < none)
 
 

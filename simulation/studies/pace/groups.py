@@ -1,4 +1,4 @@
-"""Seconds a box of what ships, by object and by what a world is like."""
+"""Seconds per box of the release, by object and by properties of the world."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -12,11 +12,11 @@ from simulation.scene.scene import Scene
 from simulation.scene.worlds import load_scene
 from simulation.studies.pace.resampled import a_box, total_s
 
-PARTS = 3  # groups of about equal size that a quantity is cut into
+PARTS = 3  # groups of about equal size per quantity
 
 
 class Quantity(NamedTuple):
-    """What insertions are grouped by: a name, how to read it off a scene, and how to print its bounds."""
+    """A quantity for grouping insertions: a name, how to read it from a scene, and how to print its bounds."""
 
     name: str
     of: Callable[[Scene], float]

@@ -1,4 +1,4 @@
-"""What other pages measured, as the figures of this one need it."""
+"""Other pages' measurements, in the form that this page's figures need."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The settings that are played against each other, and the insertions of each: all begin from the same starts."""
+"""The compared settings, and the insertions of each: all begin from the same starts."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -17,14 +17,14 @@ from simulation.studies.drawn_worlds import Start
 
 Tables = Mapping[str, Any]
 BEFORE, SHIPPED = "before", "as shipped"
-NO_LEGS_MM_S = 3.0  # no faster than any probing: no leg of a descent is fast
+NO_LEGS_MM_S = 3.0  # below any probing speed: no leg of a descent is fast
 
 
 class Point(NamedTuple):
     """One choice of settings: tables of the client's configuration as in `cell.toml`.
 
-    ``needs``: what a cell must have for it that not every cell has; empty where any cell can run it.
-    ``controller`` and ``networks`` (a folder below the released models) are the service's, by default what ships.
+    ``needs``: a requirement that not every cell meets; empty if any cell can run it. ``controller`` and ``networks`` (a
+    folder below the released models) are the service's, by default the released ones.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Point(NamedTuple):
 
     @property
     def service(self) -> Tables:
-        """The service's settings that differ from what ships."""
+        """The service's settings that differ from the release."""
         chosen = {"controller": self.controller} if self.controller != "belief" else {}
         return MappingProxyType(chosen | ({"models": f"models/pressing/{self.networks}"} if self.networks else {}))
 
@@ -54,7 +54,7 @@ def client(
     press_mm: float = PRESS_MM,
     brisk: bool = False,
 ) -> Tables:
-    """Tables of a client, by default what ships; ``brisk``: harder ramps."""
+    """Tables of a client, by default as released; ``brisk``: harder ramps."""
     fast_travel_mm = longest_travel_mm(fast_mm_s)
     return {
         "pace": {"fast_mm_s": fast_mm_s, "fast_travel_mm": fast_travel_mm, "lift_mm": lift_mm, "press_mm": press_mm},
@@ -81,13 +81,13 @@ POINTS = (
         needs="cameras of 38 frames a second and an arm that follows its targets within 83 ms",
     ),
 )
-"""Before and as shipped; then what ships with one default changed; then what some cells only can run."""
+"""Before and as released; then the release with one default changed; then choices that only some cells can run."""
 
 
 def tasks(points: Sequence[Point], begun: Sequence[Start], seed: int, models: Path) -> list[Task]:
-    """Every start at each point, one start by all points, then the next; the client tells a measured shear reach.
+    """Every start at each point, one start by all points, then the next; the client sends a measured shear reach.
 
-    A world keeps all but the speed of its arm; no point is faster in it than a cell is run with care.
+    A world keeps everything but the speed of its arm; no point is faster in it than a cell is run with care.
     """
     return [
         Task(

@@ -24,7 +24,7 @@ def _draws(count: int) -> NDArray[np.int64]:
 
 
 def upper(values: Sequence[float]) -> Estimate:
-    """What 95 % of the values stay below."""
+    """Upper limit of 95 % of the values."""
     each = np.quantile(np.array(values)[_draws(len(values))], 0.95, axis=1)
     return bootstrap(float(each[0]), each.tolist())
 
@@ -37,14 +37,14 @@ def _sums(rows: Sequence[Row]) -> tuple[NDArray[np.float64], NDArray[np.float64]
 
 
 def a_box(rows: Sequence[Row]) -> Estimate:
-    """All seconds over all boxes inserted."""
+    """Total seconds over the number of inserted boxes."""
     seconds, boxes = _sums(rows)
     each = seconds / boxes
     return bootstrap(float(each[0]), each.tolist())
 
 
 def faster(rows: Sequence[Row], first: Sequence[Row]) -> Estimate:
-    """How many times fewer seconds a box than ``first``, from the same starts."""
+    """Ratio of the seconds per box of ``first`` to these, from the same starts."""
     (seconds, boxes), (first_seconds, first_boxes) = _sums(rows), _sums(first)
     ratio = (first_seconds / first_boxes) / (seconds / boxes)
     return bootstrap(float(ratio[0]), ratio.tolist())

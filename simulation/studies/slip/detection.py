@@ -1,9 +1,9 @@
-"""How well slip is detected, and what that costs, on trials whose truth is known.
+"""Quality and cost of slip detection, on trials with known ground truth.
 
-A slip trial is right if slip is announced between the moment a tenth of the nodes slip and three frames after a quarter
-does; any other trial is right if slip is never announced. Earlier is a false alarm, later or never a miss.
-The detector's stall rule presumes a moving arm, so alarms count while the arm moves; "arm also standing still" is
-evaluated without that rule over the whole of every trial.
+A slip trial is correct if slip is announced between the moment a tenth of the nodes slip and three frames after a
+quarter do; any other trial is correct if slip is never announced. Earlier is a false alarm, later or never a miss. The
+detector's stall rule presumes a moving arm, so alarms count while the arm moves; "arm also standing still" is evaluated
+without that rule over the whole of every trial.
 """
 
 import math
@@ -34,7 +34,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(slots=True)
 class Tally:
-    """How the trials ended for one kind of evidence."""
+    """Outcomes of the trials for one kind of evidence."""
 
     right: int = 0
     missed: int = 0
@@ -45,7 +45,7 @@ class Tally:
     frame_ms: list[float] = field(default_factory=list)
 
     def add(self, trial: SlipTrial, alarm: int | None, *, standing: bool = False) -> None:
-        """Count one trial; trials between slip and none are left out, and so are alarms of a standing arm."""
+        """Count one trial; trials between slip and none are left out, and so are alarms at standstill."""
         if trial.label == "between":
             return
         if alarm is not None and alarm >= trial.still_frame and not standing:
@@ -100,7 +100,7 @@ def track(trial: SlipTrial, images: list[list[Image]], tally: Tally) -> list[lis
 
 
 def true_fields(trial: SlipTrial) -> list[list[MarkerField]]:
-    """The fields a perfect tracker would give."""
+    """The fields of a perfect tracker."""
     sensor, step = trial.scene.sensor, round(1e9 / trial.scene.fps)
     return [[field_from_gel(gel[finger], k * step, sensor) for k, gel in enumerate(trial.gel)] for finger in range(2)]
 
@@ -151,7 +151,7 @@ def onset_of(fields: Iterable[Sequence[MarkerField]]) -> int | None:
 
 
 def cost_ms(trials: int, seed: int, fps: int) -> dict[str, float]:
-    """CPU ms a frame of one finger to rectify, track, detect contact, slip and onset, one thread, on raw frames.
+    """CPU ms per frame of one finger to rectify, track, detect contact, slip and onset, one thread, on raw frames.
 
     Median and 95th percentile over ``trials`` descents.
     """
@@ -176,7 +176,7 @@ def cost_ms(trials: int, seed: int, fps: int) -> dict[str, float]:
 
 
 def evaluate(count: int, seed: int, fps: int, show: Callable[[int], None]) -> dict[str, Any]:
-    """``count`` trials by the standard tracker, on true fields and by the rule of 2019; what the slip path costs."""
+    """``count`` trials by the standard tracker, on true fields and by the rule of 2019; the cost of the slip path."""
     tallies = {name: Tally() for name in ("images", "held out, images", STANDING, "true fields", "2019 rule")}
     objects: dict[str, Tally] = {}
     for done, trial in enumerate(draw_trials(count, seed, fps), 1):

@@ -1,6 +1,6 @@
-"""Recorded grasps of real objects: what `service judge` says of them, against labels set by eye.
+"""Recorded grasps of real objects: the results of `service judge` against labels set by eye.
 
-The rows come from `python -m service judge`, the labels from a JSON file that says how they were set and how each can
+The rows come from `python -m service judge`, the labels from a JSON file that states how they were set and how each can
 be checked. Runs are counted, not frames; a run whose label names no loss can only be called lost falsely.
 """
 
@@ -14,14 +14,14 @@ from reporting.table import table
 from simulation.studies.slip import witness
 
 Row = Mapping[str, Any]
-NEAR_N = 3  # frames within which a loss has to be told
-AHEAD_N = 5  # frames by which a slide has to be told before the loss
+NEAR_N = 3  # frames within which a loss has to be reported
+AHEAD_N = 5  # frames by which a slide has to be reported before the loss
 
 
 def figures(rows: Sequence[Row], labels: Row, evidence: Row) -> dict[str, Any]:
-    """Counts, with their Wilson intervals, and each run beside its label. Raises ValueError where a run has no row.
+    """Counts, with their Wilson intervals, and each run beside its label. Raises ValueError if a run has no row.
 
-    ``evidence``: what the slide witness read; it is fitted and judged without each object in turn.
+    ``evidence``: the slide witness's readings; it is fitted and evaluated without each object in turn.
     """
     by_run = {row["run"]: row for row in rows}
     missing = sorted(set(labels["slip"]) - set(by_run))
@@ -77,7 +77,7 @@ def _warned(frame: int | None, slip: Row) -> bool:
 
 
 def _by_markers(row: Row) -> int | None:
-    """The first frame in which the markers of any finger told slip, None if they never did."""
+    """The first frame in which the markers of any finger showed slip, None if they never did."""
     frames = [finger["slip_frame"] for finger in row["fingers"].values() if finger["slip_frame"] is not None]
     return min(frames, default=None)
 

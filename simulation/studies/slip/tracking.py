@@ -1,4 +1,4 @@
-"""How far the tracker is from the truth on simulated descents: displacement RMS at 2 and 6 grey levels of noise."""
+"""Error of the tracker on simulated descents: displacement RMS at 2 and 6 grey levels of noise."""
 
 import math
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ def displacement_error_px(trial: SlipTrial, fields: Sequence[Sequence[MarkerFiel
 
 
 def _nodes(field: MarkerField, sensor: Sensor) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Row and column [rows, cols] of the gel's node that each node of a tracker's grid is, laid where most rest.
+    """Row and column [rows, cols] of the gel's node for each node of a tracker's grid, placed where most of them rest.
 
     Not the nearest: a firm grasp bulges the gel by more than half a pitch before the first frame.
     """
@@ -45,10 +45,10 @@ def _nodes(field: MarkerField, sensor: Sensor) -> tuple[NDArray[np.intp], NDArra
 
 
 def accuracy_at_noise(trials: Sequence[SlipTrial], noise: float) -> dict[str, float]:
-    """At a camera noise in grey levels: ``rms_px`` an axis of the errors within a quarter pitch.
+    """At a camera noise in grey levels: ``rms_px`` per axis of the errors within a quarter pitch.
 
-    ``wrong_share`` is the share of those beyond, wrong identities; ``tracked_share`` that of the markers whose place
-    the tracker states.
+    ``wrong_share`` is the share of larger errors, wrong identities; ``tracked_share`` the share of the markers whose
+    place the tracker states.
     """
     errors: list[NDArray[np.float64]] = []
     tracked: list[float] = []

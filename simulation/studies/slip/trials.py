@@ -1,7 +1,7 @@
-"""Trials with known slip: descents of the simulated cell whose every frame says how much of each pad truly slips.
+"""Trials with known slip: descents of the simulated cell with the true slipping share of each pad in every frame.
 
 A quarter of the pressed nodes slipping is slip (``scene.numerics.slip_share``), below a tenth there is none. Trials are
-slips (the arm goes on for a few frames), holds (the arm stops after contact but before slip) and free insertions.
+slips (the arm continues for a few frames), holds (the arm stops after contact but before slip) and free insertions.
 """
 
 import math
@@ -31,7 +31,7 @@ class SlipTrial:
     """One descent at the camera's rate; frame 0 is the reference.
 
     ``gel`` float32 [frames, 2, rows, columns, 3], ``share`` [frames]: true slipping share of the worse pad;
-    ``onset_frame`` and ``slip_frame`` are -1 where they never came. From ``still_frame`` on the arm stands still.
+    ``onset_frame`` and ``slip_frame`` are -1 if they never came. From ``still_frame`` on the arm stands still.
     """
 
     name: str
@@ -47,7 +47,7 @@ class SlipTrial:
 
     @property
     def label(self) -> Label:
-        """What the trial truly was, by its largest slipping share."""
+        """True class of the trial, by its largest slipping share."""
         if self.slip_frame >= 0:
             return "slip"
         return "none" if float(self.share.max()) < NO_SLIP_SHARE else "between"
@@ -81,7 +81,7 @@ def _trial(name: str, kind: Kind, rng: np.random.Generator, held_out: bool, seed
         calm = np.flatnonzero((share < 0.7 * NO_SLIP_SHARE) & (np.arange(len(share)) >= onset))
         last = int(rng.integers(onset, calm[-1] + 1)) if calm.size else onset
         still = last + 1
-        # The arm stands still: quasi-statics change nothing more.
+        # The arm stands still: the quasi-static state no longer changes.
         gel = np.concatenate([gel[: last + 1], np.repeat(gel[last : last + 1], STILL_N, 0)])
         share = np.concatenate([share[: last + 1], np.zeros(STILL_N)])
     begin = max(0, onset - REST_N) if onset >= 0 else max(0, len(gel) - MAX_FRAMES)

@@ -1,7 +1,7 @@
-"""The slide witness on real grasps: fitted without each object in turn, with its limit chosen without it, too.
+"""The slide witness on real grasps: fitted without each object in turn, and its limit chosen without it, too.
 
-A run counts by its most suspicious frame, so only the frames that look most like a slide are fitted: of a run that is
-lost, those between the visible slide and five frames before the loss; of a held one, all until it is let go.
+A run counts by its most suspicious frame, so only the frames that look most like a slide are fitted: in a lost run,
+those between the visible slide and five frames before the loss; in a held one, all until the release.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,11 +15,11 @@ from service.perception.slip.slide import READ_N, TERMS, slide_score
 
 Row = Mapping[str, Any]
 Float64 = NDArray[np.float64]
-SETTLED_N = 4  # frames after contact, or after a recording begins in one
-AHEAD_N = 5  # frames by which a slide has to be told before the loss
-LET_GO_N = 6  # last frames before a held object is let go, which count as neither
-FURTHER = 1.25  # times as far as any held object walked is too far
-FALSE_RUNS = 2  # alarms in the held runs that a limit is chosen on; one more may come from others
+SETTLED_N = 4  # frames after contact, or after the start of a recording in contact
+AHEAD_N = 5  # frames by which a slide has to be reported before the loss
+LET_GO_N = 6  # last frames before the release of a held object, which count as neither
+FURTHER = 1.25  # a motion this many times the largest of any held object is too far
+FALSE_RUNS = 2  # alarms in the held runs for choosing a limit; one more may come from others
 WINDOW_N = 16  # frames in 2 s
 _RIDGE = 1.0
 _ROUNDS, _POSITIVE_N, _NEGATIVE_N, _EVERY = 8, 2, 4, 25
@@ -27,9 +27,9 @@ _ROUNDS, _POSITIVE_N, _NEGATIVE_N, _EVERY = 8, 2, 4, 25
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One grasp's terms [frames, terms], the frames it is fitted on, and when its slide begins if it is lost.
+    """One grasp's terms [frames, terms], the frames for fitting, and the start of its slide if it is lost.
 
-    ``live``: the frames in which a slide turns the phase to slip; ``before``: from where on an alarm comes too late.
+    ``live``: the frames in which a slide turns the phase to slip; ``before``: from where on an alarm is too late.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Run:
         return self.name.rsplit("_", 2)[0]
 
     def alarms(self, scores: Float64) -> NDArray[np.intp]:
-        """Frames in which the grasp is said to slip."""
+        """Frames with an alarm."""
         return np.arange(*self.live)[scores[slice(*self.live)] >= 0]
 
 
@@ -99,7 +99,7 @@ def _most(frames: Float64, weights: Float64, count: int) -> Float64:
 
 
 def _logistic(terms: Float64, labels: NDArray[np.bool_], shares: Float64) -> Float64:
-    """Weights of a ridge logistic regression, by Newton's method; its bias is left to the limit."""
+    """Weights of a ridge logistic regression, by Newton's method; the limit provides its bias."""
     columns = np.column_stack([terms, np.ones(len(terms))])
     ridge = np.diag([_RIDGE] * terms.shape[1] + [1e-6])
     weights = np.zeros(columns.shape[1])
@@ -112,7 +112,7 @@ def _logistic(terms: Float64, labels: NDArray[np.bool_], shares: Float64) -> Flo
 
 
 def without_each_object(runs: Sequence[Run]) -> dict[str, Any]:
-    """Every run judged by a model and limits that never saw its object."""
+    """Every run evaluated with a model and limits that never saw its object."""
     scores: dict[str, Float64] = {}
     for left_out in sorted({run.object for run in runs}):
         model = fitted([run for run in runs if run.object != left_out])
@@ -143,7 +143,7 @@ def _of(alarmed: Mapping[str, bool], slides: Sequence[Run], holds: Sequence[Run]
 
 
 def _auc(slides: Sequence[Float64], holds: Sequence[Float64]) -> float:
-    """Chance that the last 2 s before a loss score higher than 2 s of a held run, wherever they are taken."""
+    """Chance that the last 2 s before a loss score higher than any 2 s of a held run."""
     last = [float(one[-(WINDOW_N - AHEAD_N) :].max()) for one in slides if len(one)]
     held = [
         [float(one[k : k + WINDOW_N - AHEAD_N].max()) for k in range(0, max(1, len(one) - WINDOW_N), WINDOW_N)]

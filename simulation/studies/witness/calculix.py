@@ -1,7 +1,7 @@
 """A gel pad under a rigid plate in CalculiX, a third party's finite elements (the program `ccx`; Dhondt 2004).
 
-Serendipity bricks with reduced integration (C3D20R), surface-to-surface penalty contact with Coulomb friction: another
-element, another contact and another iteration than in `simulation.foreign`. The plate goes where it is sent.
+Serendipity bricks with reduced integration (C3D20R), surface-to-surface penalty contact with Coulomb friction: element,
+contact and iteration all differ from `simulation.foreign`. The plate follows a prescribed path.
 """
 
 import os
@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 Ids = NDArray[np.intp]
 
 PLATE_MM, PLATE_THICK_MM = 60.0, 3.0
-SINK_PER_MODULUS = 200.0  # of contact, 1/mm: a pressure of a tenth of Young's modulus sinks in by 0.5 um
-STICK_SHARE = 0.2  # of that stiffness while it sticks
+SINK_PER_MODULUS = 200.0  # contact stiffness, 1/mm: a pressure of a tenth of Young's modulus sinks in by 0.5 um
+STICK_SHARE = 0.2  # share of that stiffness while it sticks
 REACH_THICKNESSES = 3.0
 LONGEST_S = 3600.0
 CORNERS = np.array([[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [0, 0, 2], [2, 0, 2], [2, 2, 2], [0, 2, 2]])
@@ -32,7 +32,7 @@ TOWARDS_LOW_Y, TOWARDS_HIGH_Y = "S3", "S5"  # faces of a brick
 
 
 class Rubber(NamedTuple):
-    """A gel: shear modulus, N/mm2, Poisson's ratio and friction; large: Neo-Hooke's, and finite motion."""
+    """A gel: shear modulus, N/mm2, Poisson's ratio and friction; large: Neo-Hookean, with finite motion."""
 
     shear_modulus: float
     poisson_ratio: float
@@ -54,11 +54,11 @@ class Answer(NamedTuple):
 
 
 class CalculixError(Exception):
-    """The program found no end, or wrote nothing that can be read."""
+    """The program did not converge, or its output cannot be read."""
 
 
 def is_installed() -> bool:
-    """Whether there is a `ccx` to ask."""
+    """Whether there is a `ccx` to run."""
     return shutil.which("ccx") is not None
 
 
@@ -89,7 +89,7 @@ class Mesh:
 
 
 def _borders(size_mm: float, margin_mm: float, count: int, thickness_mm: float) -> Array:
-    """Borders of elements across a pad; a margin is cut into two elements."""
+    """Borders of elements across a pad; a margin is divided into two elements."""
     inner: Array = np.linspace(-0.5 * size_mm, 0.5 * size_mm, count + 1)
     margin_mm = min(margin_mm, REACH_THICKNESSES * thickness_mm)
     if margin_mm < 1e-6:
@@ -105,7 +105,7 @@ def _halved(lines: Array) -> Array:
 
 
 def plate_at(turn: Array, place: Array, crest_mm: float, side: int) -> Array:
-    """Corners [8, 3] of the held object's flat side in the pad's frame, where the object is turned and placed."""
+    """Corners [8, 3] of the held object's flat side in the pad's frame, for the object's turn and place."""
     across = 0.5 * PLATE_MM * (CORNERS[:, [0, 2]] - 1.0)
     low = crest_mm - PLATE_THICK_MM if side > 0 else -crest_mm
     corners = np.stack([across[:, 0], low + 0.5 * PLATE_THICK_MM * CORNERS[:, 1], across[:, 1]], axis=1)
@@ -113,7 +113,7 @@ def plate_at(turn: Array, place: Array, crest_mm: float, side: int) -> Array:
 
 
 def press(mesh: Mesh, rubber: Rubber, side: int, path: Sequence[Array]) -> Answer:
-    """Lead the plate [8, 3] along a path, its first corners clear of the pad. Raises CalculixError."""
+    """Move the plate [8, 3] along a path, its first corners clear of the pad. Raises CalculixError."""
     with TemporaryDirectory() as folder:
         deck = Path(folder) / "pad.inp"
         deck.write_text("\n".join(_deck(mesh, rubber, side, path)) + "\n")
@@ -197,7 +197,7 @@ def _block(text: str, title: str) -> list[str]:
 
 
 def _contact(text: str) -> dict[int, tuple[float, float, float]]:
-    """By node: pressure and the two shears of the last contact block; columns are 12 wide and need no blank."""
+    """By node: pressure and the two shears of the last contact block; columns are 12 wide, maybe without blanks."""
     begin = text.rfind("-4  CONTACT")
     if begin < 0:
         raise CalculixError("no contact in what it wrote")

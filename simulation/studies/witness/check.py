@@ -1,4 +1,4 @@
-"""Probes of the foreign cell beside CalculiX: the same plate on the same path presses the same pad."""
+"""Probes of the foreign cell against CalculiX: the same plate on the same path presses the same pad."""
 
 import time
 from collections.abc import Mapping
@@ -22,15 +22,15 @@ Array = NDArray[np.float64]
 FLAT = {"grasp.pre_tilt_spread_deg": 0.0, "grasp.pre_yaw_spread_deg": 0.0, "gel.crown_mm": 0.0, "gel.friction": 0.8}
 CELLS = (6, 2, 6)  # of CalculiX's mesh: its nodes lie on nodes of ours
 CLEAR_MM = 0.01
-SLIDES = 0.98  # of what friction bears: the penalty's friction is never quite at its limit
-TOUCHES = 0.02  # of the mean pressure
+SLIDES = 0.98  # share of the friction limit: penalty friction never quite reaches it
+TOUCHES = 0.02  # share of the mean pressure
 APPROACH_MM = 5.0
 SAME_MM, LEAST_SHARED = 1e-3, 40
 
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """What is tried: a rectangle's start error, how deep it goes below first touch (0: it only hangs), the scene."""
+    """One probe: a rectangle's start error, its depth below first touch (0: it only hangs), the scene."""
 
     kind: str
     changes: Mapping[str, Any] = field(default_factory=dict)
@@ -80,7 +80,7 @@ PROBES = (
 
 
 class RecordedCell(ForeignCell):
-    """A foreign cell that keeps where the object was in the hand at the end of each load step since the grasp."""
+    """A foreign cell that stores the object's pose in the hand at the end of each load step since the grasp."""
 
     def __init__(self, scene: Scene, seed: int = 0, pad: Pad | None = None) -> None:
         self.path: list[Grip] = []
@@ -116,7 +116,7 @@ def tried(probe: Probe) -> dict[str, Any]:
 
 
 def compared(probe: Probe, cells: tuple[int, int, int] = CELLS) -> dict[str, Any]:
-    """Both answers to a probe and how far they are apart. Raises CalculixError."""
+    """Both answers to a probe and their difference. Raises CalculixError."""
     began = time.process_time()
     cell = played(probe)
     ours_s, gel = time.process_time() - began, cell.scene.gel
@@ -129,7 +129,7 @@ def compared(probe: Probe, cells: tuple[int, int, int] = CELLS) -> dict[str, Any
 
 
 def large(probe: Probe) -> dict[str, Any]:
-    """What large strains change on a probe's path, as CalculiX sees it. Raises CalculixError."""
+    """The effect of large strains on a probe's path, by CalculiX. Raises CalculixError."""
     cell = played(probe)
     gel, pad = cell.scene.gel, pad_of(cell.scene)
     path, mesh = _way(cell, probe.side), Mesh(pad, probe.side, CELLS)
@@ -146,7 +146,7 @@ def large(probe: Probe) -> dict[str, Any]:
 
 
 def _way(cell: RecordedCell, side: int) -> list[Array]:
-    """The plate's corners by every third load step in the frame of the pad at side, from clear of it on."""
+    """The plate's corners at every third load step in the frame of the pad at side, starting clear of it."""
     crest, closed = cell.held.crest_mm, CLOSING_STEPS - 1
     kept = [*cell.path[:closed:3], *cell.path[closed : closed + 2], *cell.path[: closed + 1 : -3][::-1]]
     way = [
@@ -158,7 +158,7 @@ def _way(cell: RecordedCell, side: int) -> list[Array]:
 
 
 LARGE = tuple(PROBES[i] for i in (0, 7, 12))
-"""Probes that are tried with large strains, too."""
+"""Probes that are also tried with large strains."""
 CORNER_ROWS = {1: [2, 3, 6, 7], -1: [0, 1, 4, 5]}
 """The plate's corners that face the pad."""
 
@@ -196,7 +196,7 @@ def _apart(cell: RecordedCell, side: int, theirs: calculix.Answer) -> dict[str, 
 
 
 def _apart_of(apart: Array, size: Array, weight: Array) -> float:
-    """RMS of a difference over RMS of a field, both [m, 3], each node by the face that it stands for."""
+    """RMS of a difference over RMS of a field, both [m, 3], each node weighted by its area of the face."""
     return float(np.sqrt((np.square(apart).sum(axis=1) @ weight) / (np.square(size).sum(axis=1) @ weight)))
 
 
@@ -205,7 +205,7 @@ def _share(some: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
 
 
 def _shared(ours: Array, theirs: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Which nodes of ours [m] and of theirs [m] lie in the same places. Raises ValueError where too few do."""
+    """The nodes of ours [m] and of theirs [m] in the same places. Raises ValueError where too few coincide."""
     away = np.linalg.norm(ours[:, None] - theirs[None], axis=2)
     mine, of_theirs = np.nonzero(away < SAME_MM)
     if len(mine) < LEAST_SHARED:

@@ -1,4 +1,4 @@
-"""What accuracy costs in time: our tiers and the finite elements beside the finest mesh; mesh and load step refined.
+"""The time cost of accuracy: our tiers and the finite elements against the finest mesh; mesh and load step refined.
 
 All of them descend on one edge in equal parts of a depth. Errors are those of the end, of the markers since the grasp,
 and of the depth at which a quarter of the contact slips.
@@ -33,7 +33,7 @@ EDGES: Mapping[str, Probe] = {
 
 
 class End(NamedTuple):
-    """Of a descent: force on the object, N, turn in the hand, deg, markers' motion, mm, slip share, stop depth, CPU."""
+    """End of a descent: force on the object, N, turn in the hand, deg, markers' motion, mm, slip share, depth, CPU."""
 
     force: Array
     turn_deg: Array
@@ -44,7 +44,7 @@ class End(NamedTuple):
 
 
 def elements(across: int, through: int, step_mm: float) -> Make:
-    """Finite elements of a mesh and a load step."""
+    """Finite elements with a mesh and a load step."""
 
     def make(scene: Scene) -> Cell:
         pad = pad_of(scene)._replace(columns=across, rows=across, layers=through)
@@ -71,7 +71,7 @@ CELLS: Mapping[str, Make] = {
 
 
 def descended(make: Make, probe: Probe) -> End:
-    """A descent in PARTS of its depth; CPU time is that of the way below the approach height."""
+    """A descent in PARTS of its depth; CPU time is that of the part below the approach height."""
     cell = make(load_scene("rectangle", blocks__free=False).varied({**FLAT, **probe.changes}))
     held = cell.regrasp(probe.x_mm, probe.theta_deg)
     x, y, z, yaw = cell.pose
@@ -88,7 +88,7 @@ def descended(make: Make, probe: Probe) -> End:
 
 
 def measured(name: str, probe: Probe) -> Iterator[dict[str, Any]]:
-    """A row a cell: its errors against the finest mesh and what it costs."""
+    """One row per cell: its errors against the finest mesh and its cost."""
     finest = descended(elements(*FINEST), probe)
     for cell, make in CELLS.items():
         end = descended(make, probe)

@@ -1,4 +1,4 @@
-"""What the cameras showed at the end of each insertion of the sealed test that failed there: played again, drawn."""
+"""The last pictures of each failed insertion of the sealed test: replayed and drawn."""
 
 import sys
 import textwrap
@@ -21,9 +21,9 @@ Image = NDArray[np.uint8]
 
 
 def draw(rows: Sequence[Row], models: Path, file: Path) -> None:
-    """Write both fingers' last frames of rows that failed, each under its world and cause, to a PNG.
+    """Write both fingers' last frames of failed rows, each under its world and cause, to a PNG.
 
-    Of many the first, untrue claims before all others.
+    If there are many, the first ones, false claims before all others.
     """
     rows = sorted(rows, key=lambda row: not row["claimed"])[:MOST]
     down = -(-len(rows) // ACROSS)
@@ -39,7 +39,7 @@ def draw(rows: Sequence[Row], models: Path, file: Path) -> None:
 
 
 def _last_frames(row: Row, models: Path) -> Image:
-    """Left and right beside each other, uint8 [h, 2 w, 3] BGR."""
+    """Left and right side by side, uint8 [h, 2 w, 3] BGR."""
     job = Job(**{field.name: row[field.name] for field in fields(Job)})
     try:
         insertion = stage(job, models_of(models))

@@ -1,6 +1,6 @@
-"""The sealed test: worlds and starts that follow from the released networks' own bytes, so that nobody chooses them.
+"""The sealed test: worlds and starts follow from the released networks' own bytes, so that nobody can choose them.
 
-Played in the cell of finite elements. Our own tiers, an earlier release and the oracle play the first starts beside it.
+Played in the cell of finite elements. Our own tiers, an earlier release and the oracle also play the first starts.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ from simulation.scene import drawn
 from simulation.scene.worlds import load_scene
 from simulation.studies.drawn_worlds import Start, starts
 
-WORLDS, EACH = 100, 5  # worlds of a family, and insertions in a row in each of them
+WORLDS, EACH = 100, 5  # worlds of a family, and consecutive insertions in each of them
 RUBBER = {
     "gel.poisson_ratio": (0.82, 1.0),
     "gel.relaxation_share": (0.0, 0.0),
@@ -30,7 +30,7 @@ FAMILIES: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "stiff and slippery": {**RUBBER, "reach": (0.0, 0.3), "friction": (0.0, 0.3)},
 }
 WITNESS = "finite elements"
-ALIKE = "the same starts"  # of WITNESS, where what plays beside it plays fewer
+ALIKE = "the same starts"  # of WITNESS, where a comparison plays fewer
 FOREIGN = {"cell": "foreign"}
 BESIDE: Mapping[str, Mapping[str, str]] = {
     "bristle": {},
@@ -38,11 +38,11 @@ BESIDE: Mapping[str, Mapping[str, str]] = {
     "older": FOREIGN,
     "oracle": {**FOREIGN, "controller": "oracle"},
 }
-"""What plays beside the release, and fields of its jobs: tiers of our own physics; in the elements other deciders."""
+"""The comparisons, and fields of their jobs: tiers of our own physics; in the elements other deciders."""
 
 
 class Opened(NamedTuple):
-    """One start of the test: its family and what there is to play."""
+    """One start of the test: its family and its insertion."""
 
     family: str
     start: Start
@@ -62,7 +62,7 @@ def seed_of(sealed: str, *parts: str) -> int:
 
 
 def opened(sealed: str, objects: Sequence[str], count: int) -> list[Opened]:
-    """``count`` starts a family, at most WORLDS * EACH, families in turn by world; more of them begin alike."""
+    """``count`` starts per family, at most WORLDS * EACH, families in turn by world; a larger test extends it."""
     by_family = {}
     for family, within in FAMILIES.items():
         seed = seed_of(sealed, family)
@@ -93,9 +93,9 @@ def _job(seed: int, index: int, start: Start, cell: str) -> dict[str, Any]:
 
 
 def report_of(played: Mapping[str, Sequence[Row]], begun: Sequence[Opened], setup: Row) -> Row:
-    """What the page is written from: the figures of each cell and family, and every failure in the elements.
+    """The page's data: the figures of each cell and family, and every failure in the elements.
 
-    ``played``: the rows of WITNESS of all of ``begun``, and those of others, maybe of its first ones alone.
+    ``played``: the rows of WITNESS of all of ``begun``, and those of others, maybe only of its first ones.
     """
     families, least = [each.family for each in begun], min(map(len, played.values()))
     alike = {ALIKE: played[WITNESS][:least]} if least < len(begun) else {}
