@@ -29,7 +29,7 @@ from service.contract.text import printable
 from service.contract.wire import ControllerName
 
 _EPILOG = """exit codes: 0 done (inserted, ready, homed, ...), 1 not done or failed safe,
-2 invalid input or configuration
+2 wrong input or configuration
 
 examples (m is python -m robot_client):
   m insert --x-mm 8 --theta-deg 6            rehearse, nothing connected
