@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, settings
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when numpy and torch are imported
 os.environ["TACTILE_STATE"] = tempfile.mkdtemp(prefix="tactile-state-")  # never the token of who runs the tests
-# All servers of the tests are their own; each client would read the machine's 150 authorities, a twentieth of a second.
+# All servers are the tests' own; otherwise each client would read the machine's 150 authorities in 50 ms.
 os.environ["SSL_CERT_FILE"] = str(Path(__file__).with_name("authority.pem"))
 
 settings.register_profile("explore", deadline=None, suppress_health_check=[HealthCheck.too_slow])

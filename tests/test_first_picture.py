@@ -1,4 +1,4 @@
-"""Both fingers are in a browser within ten seconds of `demo`, on a machine that does nothing else."""
+"""Both fingers are in a browser within ten seconds of `demo`, on an otherwise idle machine."""
 
 import os
 import signal
@@ -50,7 +50,7 @@ def pictures_after_s(page, folder: Path, port: int) -> dict[str, float]:
 
 
 def test_the_first_pictures_are_there_within_ten_seconds(tmp_path):
-    """The first of two starts compiles the physics where nobody has, and is not counted."""
+    """The first of two starts compiles the physics if necessary, and is not counted."""
     with playwright.sync_playwright() as running:
         page = running.chromium.launch(executable_path=CHROMIUM, args=FLAGS).new_page()
         for folder, port in (("compiles", 8101), ("counts", 8102)):

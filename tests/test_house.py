@@ -1,4 +1,4 @@
-"""The house stays small: short files, short functions, folders that fit in a head, names that say what they hold."""
+"""The project stays small: short files, short functions, folders with few modules, names that say what they hold."""
 
 import ast
 from collections import Counter

@@ -1,4 +1,4 @@
-"""The light packages stay light: each is imported by a fresh interpreter, which then looks at what came along."""
+"""The light packages stay light: each is imported in a new interpreter, which then lists the loaded modules."""
 
 import subprocess
 import sys

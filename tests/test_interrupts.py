@@ -1,4 +1,4 @@
-"""Ctrl-C ends every long command within two seconds, with one line and no traceback, and what was done is kept."""
+"""Ctrl-C ends every long command within two seconds, with one line and no traceback, and keeps finished work."""
 
 import json
 import os

@@ -58,7 +58,7 @@ def in_process_ms(models: ModelSet) -> float:
 
 
 class SteppedFinger(FakeFinger):
-    """A camera over HTTP that shows a picture exactly when it is asked to."""
+    """A camera over HTTP that shows a picture exactly on request."""
 
     def __init__(self, finger: Finger) -> None:
         self.pictures: queue.SimpleQueue[bytes] = queue.SimpleQueue()
@@ -80,7 +80,7 @@ class SteppedFinger(FakeFinger):
                 handler.wfile.write(head.encode() + picture + b"\r\n")
 
     def next_picture(self) -> bytes:
-        """What it was asked to show; asked for nothing for a while, the last picture again, so that it stays live."""
+        """The requested picture; without a request for a while, the last picture again, so that it stays live."""
         with contextlib.suppress(queue.Empty):
             self.shown = self.pictures.get(timeout=IDLE_S)
             return self.shown

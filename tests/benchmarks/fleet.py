@@ -1,4 +1,4 @@
-"""What many cells cost: recordings and an adaptation measured here, the fleet worked out from them."""
+"""Cost of many cells: recordings and an adaptation measured here, and the fleet computed from them."""
 
 import os
 import resource
@@ -33,7 +33,7 @@ def fleet(recordings: Path | None) -> dict[str, Any]:
 
 
 def _cpu_s(*command: str) -> float:
-    """Processor time of a module; it may end with 3, for an adaptation that leaves the release as it is."""
+    """Processor time of a module; exit status 3 is allowed, for an adaptation that leaves the release."""
 
     def of_children() -> float:
         used = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -48,7 +48,7 @@ def _cpu_s(*command: str) -> float:
 
 
 def fleet_section(facts: dict[str, Any]) -> str:
-    """The arithmetic of a fleet, with what it rests on; empty where that was not measured."""
+    """The arithmetic of a fleet, with its inputs; empty if these were not measured."""
     fleet, cell = (facts.get(name, {"failed": "not run"}) for name in ("fleet", "cells 1"))
     if "failed" in fleet or "failed" in cell:
         return ""

@@ -54,7 +54,7 @@ def greeted_s(service: ServiceProcess) -> float:
 
 @contextlib.contextmanager
 def most_mb(service: ServiceProcess) -> Iterator[list[float]]:
-    """The largest resident memory while the context lasts, looked at fifty times a second."""
+    """The largest resident memory within the context, sampled fifty times per second."""
     most, stop = [0.0], threading.Event()
 
     def look() -> None:
@@ -71,7 +71,7 @@ def most_mb(service: ServiceProcess) -> Iterator[list[float]]:
 
 
 def head(service: ServiceProcess, path: str, *lines: str) -> bytes:
-    """A request whose token is good: what opens the door costs more than what does not."""
+    """A request with a valid token: admission costs more than a refusal."""
     token = f"Authorization: Bearer {service.token}"
     return "\r\n".join([f"POST {path} HTTP/1.1", "Host: localhost", token, *lines, "", ""]).encode()
 
@@ -100,7 +100,7 @@ def bodies(service: ServiceProcess) -> dict[str, Any]:
 
 
 def idle(service: ServiceProcess, request: bytes = b"") -> dict[str, Any]:
-    """Connections that say ``said`` and nothing more; the robot's client comes now and then, and after the last."""
+    """Connections that send ``said`` and nothing more; the robot's client connects now and then, and after the last."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, max(soft, 4096)), hard))
     greeted = []
@@ -141,7 +141,7 @@ def ages_ms(models: Path, seconds: float, *, flooded: bool) -> dict[str, Any]:
 
 
 def rows(facts: dict[str, Any]) -> list[Row]:
-    """What was measured beside what must be reached."""
+    """Measurements beside their targets."""
     made: list[Row] = []
     for name, what in (("ages alone", "alone"), ("ages flooded", f"{PAGES} pages and a flood of inference")):
         if figures := facts.get(name):
@@ -159,7 +159,7 @@ def rows(facts: dict[str, Any]) -> list[Row]:
 
 
 def section(facts: dict[str, Any]) -> str:
-    """The table of what a flood costs, for a page."""
+    """The table of a flood's cost, for a page."""
     columns = (("quantity", "quantity"), ("measured", "measured"), ("at least", "target"))
     return table(rows(facts), *columns, ("reached", lambda row: REACHED[row.reached]), ("load", "load", ".1f"))
 

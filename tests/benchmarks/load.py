@@ -64,7 +64,7 @@ def armed(service: ServiceProcess) -> Iterator[ClientConnection]:
 
 @contextlib.contextmanager
 def reading(link: ClientConnection) -> Iterator[None]:
-    """Read and forget what a connection gets while the context lasts: unread, the service would cut it off."""
+    """Read and discard a connection's data within the context: if unread, the service would close it."""
     stop = threading.Event()
     reader = threading.Thread(target=_look, args=(link, stop), daemon=True)
     reader.start()
@@ -186,7 +186,7 @@ server.serve_forever()
 
 @contextlib.contextmanager
 def idle_server() -> Iterator[str]:
-    """A process that does nothing but answer: what it takes, the machine takes."""
+    """A process that only answers: its cost is the machine's."""
     with subprocess.Popen([sys.executable, "-c", IDLE_SERVER], stdout=subprocess.PIPE, text=True) as process:
         try:
             yield f"http://127.0.0.1:{int(process.stdout.readline())}/"

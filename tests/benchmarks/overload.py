@@ -28,7 +28,7 @@ CALM_NS = 200_000  # the kernel may keep the perceiving thread waiting so long, 
 
 
 class Waited:
-    """How long the kernel has let a thread wait for a core; 0 where it does not say."""
+    """How long the kernel has let a thread wait for a core; 0 if it does not report it."""
 
     def __init__(self) -> None:
         self._file: int | None = None
@@ -42,7 +42,7 @@ class Waited:
 
 
 class Results:
-    """Listens to the hub: when was each frame perceived, what did it cost, did other processes have the core?"""
+    """Listens to the hub: when each frame was perceived, its cost, and whether other processes had the core."""
 
     def __init__(self, station: Station) -> None:
         self.rows: list[tuple[int, int, float, int, Finger]] = []
@@ -93,7 +93,7 @@ class Producer:
         until = due + seconds
         while time.monotonic() < until:
             self.show()
-            due = max(due + period_s, time.monotonic() - period_s)  # what was missed is not made up for in a burst
+            due = max(due + period_s, time.monotonic() - period_s)  # missed frames are not made up for in a burst
             time.sleep(max(0.0, due - time.monotonic()))
 
 

@@ -38,7 +38,7 @@ RUN rm -f /usr/lib/python3*/EXTERNALLY-MANAGED && ln -s python3 /usr/bin/python
 
 
 class VerificationError(ValueError):
-    """Something that must hold does not; the text says what."""
+    """A requirement does not hold; the text says which."""
 
 
 def say(text: str) -> None:

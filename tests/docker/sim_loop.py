@@ -46,7 +46,7 @@ class Loop:
         return f"{PROJECT}_{name}_1"
 
     def up(self, **environment: str) -> None:
-        """Start the cell afresh (arm at its start, object in hand), then the service; wait until both are healthy."""
+        """Restart the cell (arm at its start, object in hand), then the service; wait until both are healthy."""
         os.environ.update(self.ports | environment)
         self.down()
         for name in ("cell", "service-sim"):
@@ -92,7 +92,7 @@ class Loop:
                 process.wait(30)
 
     def truth(self) -> dict[str, object]:
-        """What the simulated cell knows."""
+        """The simulated cell's ground truth."""
         with urllib.request.urlopen(f"http://127.0.0.1:{self.ports['ADMIN_PORT']}/truth", timeout=5) as reply:
             answer: dict[str, object] = json.load(reply)
         return answer

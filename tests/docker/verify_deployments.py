@@ -151,7 +151,7 @@ def check_pod(add: Add, loop: Loop) -> None:
 
 
 def pod_manifest(loop: Loop) -> str:
-    """The shipped manifest; its volumes get names of their own, so that nobody's recordings are touched."""
+    """The shipped manifest; its volumes get other names, so that no real recordings are touched."""
     manifest = (ROOT / "docker" / "kubernetes" / "cell.yaml").read_text()
     for written, port in (("8000", "SERVICE_PORT"), ("8182", "CAMERA_LEFT_PORT"), ("8183", "CAMERA_RIGHT_PORT")):
         manifest = manifest.replace(written, loop.ports[port])

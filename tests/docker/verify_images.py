@@ -48,7 +48,7 @@ class Report:
 
 
 def check_contents(report: Report) -> None:
-    """What must not be in an image is not, and its user is nobody special."""
+    """An image contains nothing forbidden, and its user is unprivileged."""
     for name, modules in FORBIDDEN.items():
         for module in modules:
             command = [
@@ -164,7 +164,7 @@ def insert(report: Report, loop: Loop, what: str, tries: int = 3) -> bool:
 
 
 def ending(output: str) -> str:
-    """The line of a client's output that says how it ended."""
+    """The line of a client's output with its outcome."""
     lines = [line.strip() for line in output.splitlines()]
     endings = [line for line in lines if line.startswith(("INSERTED", "HOLD", "FAILED SAFE", "error"))]
     return (endings or lines or ["nothing"])[-1][:160]

@@ -1,4 +1,4 @@
-"""What the documentation tells people to type: every fenced shell block of all pages, with its marker.
+"""The documentation's commands: every fenced shell block of all pages, with its marker.
 
 A block that a machine without a robot cannot run carries, on the line before the fence, `<!-- not executed: why -->`.
 """
@@ -17,7 +17,7 @@ _MARKER = re.compile(r"<!--\s*not executed:\s*((?:(?!-->).)*?)\s*-->\s*\Z", re.D
 
 @dataclass(frozen=True)
 class Block:
-    """One fenced block: where it stands, its language, its text and, if it is not executed, why."""
+    """One fenced block: its place, its language, its text and, if it is not executed, the reason."""
 
     page: str
     line: int
@@ -32,7 +32,7 @@ class Block:
 
     @property
     def script(self) -> str:
-        """What a person types: in a `console` block the lines after a prompt, otherwise everything."""
+        """The typed text: in a `console` block the lines after a prompt, otherwise everything."""
         if self.language != "console":
             return self.text
         return "\n".join(line[2:] for line in self.text.splitlines() if line.startswith("$ "))
@@ -45,7 +45,7 @@ class Block:
 
 
 def pages() -> list[Path]:
-    """The pages in the root, those of rooms, and every page below docs/."""
+    """The pages in the root, those of packages, and every page below docs/."""
     return [*sorted(ROOT.glob("*.md")), *sorted(ROOT.glob("*/README.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 

@@ -1,4 +1,4 @@
-"""Every command in the documentation exists, takes the options shown, and runs, or says why no test can run it."""
+"""Every command in the documentation exists, accepts the shown options, and runs, or states why no test can run it."""
 
 import contextlib
 import importlib
@@ -24,7 +24,7 @@ OWN = {"service", "robot_client", "simulation", "training", "export"}
 
 @cache
 def help_of(*words: str) -> str:
-    """What `python -m PACKAGE [COMMAND] --help` prints, here in one process; the command must end with 0."""
+    """Output of `python -m PACKAGE [COMMAND] --help`, here in one process; the command must exit with 0."""
     package, *rest = words
     screen, status = io.StringIO(), 0
     with contextlib.redirect_stdout(screen), mock.patch.dict(os.environ, COLUMNS="200", NO_COLOR="1"):

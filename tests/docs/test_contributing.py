@@ -1,4 +1,4 @@
-"""What CONTRIBUTING.md promises about the checks before a commit."""
+"""CONTRIBUTING.md's statements about the checks before a commit."""
 
 import re
 import subprocess

@@ -62,7 +62,7 @@ class Cell:
         raise AssertionError("the service is not at rest")
 
     def outcome(self, name: str) -> tuple[str, str | None]:
-        """How the service's own record says that an insertion ended."""
+        """Outcome of an insertion by the service's own record."""
         summary = self.summary(name)
         return summary["outcome"], summary["cause"]
 

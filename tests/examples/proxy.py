@@ -7,7 +7,7 @@ import time
 
 
 class Proxy:
-    """Passes bytes on both ways until it is told otherwise; one thread a direction of a connection."""
+    """Forwards bytes both ways until instructed otherwise; one thread per direction of a connection."""
 
     def __init__(self, port: int) -> None:
         self._service_port = port
@@ -21,11 +21,11 @@ class Proxy:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def hang(self) -> None:
-        """Half open: both sides believe in the connection, and nothing comes through any more."""
+        """Half open: both sides believe in the connection, but nothing comes through any more."""
         self._open.clear()
 
     def drip(self) -> None:
-        """From now on ten bytes a second come through, one by one."""
+        """From now on ten bytes per second come through, one by one."""
         self._drips = True
 
     def cut(self) -> None:

@@ -137,7 +137,7 @@ def test_a_fault_in_mid_descent_stops_the_arm(cell, fault):
 
 
 def test_a_camera_that_is_lost_is_no_fatal_fault_and_no_licence_to_move(cell):
-    """The arm stops, the service decides nothing, the same spot is probed, and arming is refused while it is gone."""
+    """The arm stops, the service decides nothing, the same spot is probed, and arming is refused without the object."""
 
     def cut():
         cell.fingers[0].connected = False

@@ -1,4 +1,4 @@
-"""An arm that is nothing but its clock: it goes down for as long as it may, also while its controller stands still."""
+"""An arm that is only its clock: it descends for as long as it may, also while its controller is stopped."""
 
 import threading
 import time

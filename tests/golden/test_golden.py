@@ -30,7 +30,7 @@ def read(name: str) -> Any:
 
 
 def processor() -> str:
-    """Model and vector extensions of this processor: what decides how compiled code rounds."""
+    """Model and vector extensions of this processor, which determine how compiled code rounds."""
     facts = Path("/proc/cpuinfo")
     if not facts.exists():
         return platform.processor()
@@ -137,7 +137,7 @@ def compare_insertions(rows: list[dict[str, Any]]) -> None:
 
 
 def first_attempt(row: dict[str, Any]) -> dict[str, Any]:
-    """What was pressed and read at first, without the move that was made of it."""
+    """The first press and its reading, without the resulting move."""
     first = [{**trial, "decision": dict(trial["decision"])} for trial in row["trials"][:1]]
     for trial in first:
         trial["decision"].pop("dx_mm", None)

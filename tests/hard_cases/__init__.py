@@ -1,1 +1,1 @@
-"""Hard cases of every room: what is nasty, what must hold, how close it came. `python -m tests.hard_cases --help`."""
+"""Hard cases of every package: the difficulty, the requirement, and the margin. `python -m tests.hard_cases --help`."""

@@ -50,7 +50,7 @@ def survives(case: Case) -> bool:
 
 
 def bitten(name: str) -> bool:
-    """Whether the case fails once its guard is gone; for a worker process."""
+    """Whether the case fails without its guard; for a worker process."""
     return not survives(CASES[name])
 
 

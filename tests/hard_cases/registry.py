@@ -28,7 +28,7 @@ class Guard:
     instead: object = None
 
     def resolve(self) -> tuple[Any, str, Any]:
-        """Owner (a module or a class), name in it, and what it holds; raises ImportError or AttributeError."""
+        """Owner (a module or a class), name in it, and its value; raises ImportError or AttributeError."""
         module, _, qualname = self.symbol.partition(":")
         *path, name = qualname.split(".")
         owner = functools.reduce(getattr, path, importlib.import_module(module))
@@ -51,7 +51,7 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What a case showed over its seeds."""
+    """Results of a case over its seeds."""
 
     case: Case
     worst: float

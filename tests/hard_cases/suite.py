@@ -1,4 +1,4 @@
-"""All rooms' cases, registered by import."""
+"""All packages' cases, registered by import."""
 
 from tests.hard_cases.registry import CASES, run
 from tests.hard_cases.rooms import (

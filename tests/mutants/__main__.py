@@ -59,7 +59,7 @@ def nearest_first(module: str) -> list[str]:
 
 
 def killer(change: Mutant, copy: Copy, timeout_s: float, flaky: list[str]) -> str:
-    """The first test that fails with the mutant, but for those that are ``flaky``; empty if there is none."""
+    """The first test that fails with the mutant, except for ``flaky`` ones; empty if there is none."""
     path, files = Path(change.module), nearest_first(change.module)
     (copy.root / path).write_text(change.source)
     failed = copy.failure(change.module, [*files, *(f"--deselect={test}" for test in flaky)], timeout_s)
@@ -138,7 +138,7 @@ def mutants_page(report: dict) -> str:
 
 
 def by_room(chosen: list[Mutant], survivors: list[Mutant]) -> list[dict]:
-    """How many were drawn in each room, and how many of them were killed."""
+    """Number of mutants drawn in each package, and number killed."""
     drawn_n, left_n = (Counter(home_of(change) for change in some) for some in (chosen, survivors))
     return [{"room": room, "count": drawn_n[room], "killed": drawn_n[room] - left_n[room]} for room in ROOMS]
 
@@ -148,7 +148,7 @@ def home_of(change: Mutant) -> str:
 
 
 def report_of(seed: int, chosen: list[Mutant], survivors: list[Mutant], known: list[dict]) -> dict:
-    """What is published; what a person wrote about a survivor that is ``known`` stays."""
+    """The published data; a person's notes about a ``known`` survivor stay."""
     known_as = {(row["module"], row["before"], row["after"]): row["judged"] for row in known}
     rows = []
     for change in survivors:

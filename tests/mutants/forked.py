@@ -80,7 +80,7 @@ def importers() -> dict[str, set[str]]:
 
 
 def forget(module: str, by: dict[str, set[str]]) -> None:
-    """Drop a module, whatever imports it, and all tests: they are imported anew."""
+    """Drop a module, its importers, and all tests, so that they are imported again."""
     waiting, gone = [module, *(name for name in by if name.split(".")[0] == "tests")], set[str]()
     while waiting:
         name = waiting.pop()

@@ -162,7 +162,7 @@ homes, moves and grasps with the emulated WSG-50 over UDP.
 
 @dataclass(frozen=True)
 class Result:
-    """What came of a peer's tests; ``why`` names what was not run or failed."""
+    """Outcome of a peer's tests; ``why`` names the ones not run or failed."""
 
     package: str
     version: str
@@ -174,7 +174,7 @@ class Result:
 
 
 def version(peer: Peer) -> str:
-    """The installed version of a peer, ``absent`` where there is none."""
+    """The installed version of a peer, ``absent`` if there is none."""
     python = os.environ.get(peer.python, "") if peer.python else sys.executable
     code = f"from importlib.metadata import version; print(version({peer.package!r}))"
     command = peer.asked or (python, "-c", code)

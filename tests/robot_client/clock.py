@@ -1,4 +1,4 @@
-"""A clock that goes when it is told to, in place of a module's ``time``."""
+"""A clock that advances only on request, in place of a module's ``time``."""
 
 from types import ModuleType
 

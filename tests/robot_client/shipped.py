@@ -1,4 +1,4 @@
-"""What a device's table of the configuration ships with, and its bounds: a time may be short, but never nothing."""
+"""Defaults and bounds of a device's table of the configuration: a time may be short, but never zero."""
 
 import pytest
 from pydantic import ValidationError
@@ -7,7 +7,7 @@ from tests.kept import is_as_kept
 
 
 def is_bounded_and_as_kept(test_file, settings):
-    """Times and forces are above zero, however little, and a port is one of 2^16; the rest is as it shipped."""
+    """Times and forces are above zero, however small, and a port is one of 2^16; the rest stays at its default."""
     kind, shipped = type(settings), settings.model_dump(mode="json")
     for name in shipped:
         if name.endswith("port"):

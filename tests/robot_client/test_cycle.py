@@ -1,4 +1,4 @@
-"""The whole cycle against emulated devices over real sockets: nothing is let go of where it must not be."""
+"""The whole cycle against emulated devices over real sockets: nothing is released in a wrong place."""
 
 import asyncio
 import math
@@ -32,7 +32,7 @@ from tests.robot_client.live_cell import bench
 
 
 def fastest_mm_s(trace, seconds=1.0):
-    """How fast the arm went down at most in the time from where a trace begins, over a tenth of a second each."""
+    """Largest downward speed of the arm since the beginning of a trace, each over a tenth of a second."""
     (begin_s, _, _), *_ = trace
     way = [(at_s, pose.position_mm[2]) for at_s, _, pose in trace if at_s < begin_s + seconds]
     steps = [

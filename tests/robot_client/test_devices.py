@@ -1,4 +1,4 @@
-"""A new arm or gripper is one folder and one line; whatever is not known is refused with the nearest that is."""
+"""A new arm or gripper is one folder and one line; an unknown one is refused with the nearest known name."""
 
 import asyncio
 import subprocess

@@ -83,7 +83,7 @@ class Stalled(Follower):
 
 
 async def freeze_arm(cell):
-    """The arm stands beside its target, the stream goes on."""
+    """The arm stays off its target while the stream continues."""
     arm = cell.cabinet.arm
     x, y, z = arm.pose.position_mm
     cell.cabinet.arm = Stalled(Pose((x, y + 12.0, z), arm.pose.quaternion), arm.limits)
@@ -189,7 +189,7 @@ class Injector:
         return {}
 
     async def watch_stalls(self):
-        """Time in which this process, emulators included, got no CPU; it belongs to nobody's bound."""
+        """Time in which this process, emulators included, got no CPU; it counts against no bound."""
         while True:
             begun = time.monotonic()
             await asyncio.sleep(0.005)

@@ -131,7 +131,7 @@ def test_an_insertion_tells_what_was_to_be_done_and_where_the_robot_was(inserted
 
 
 def test_nothing_waits_longer_than_a_batch_to_be_sent(inserted):
-    """So a client that is killed takes a tenth of a second with it, as far as its machine had the time."""
+    """A killed client thus loses a tenth of a second, as far as its machine had the time."""
     _, *batches = inserted[0].heard
     assert all(len(batch.samples) <= BATCH_N for _, batch in batches)
     spans = sorted((batch.samples[-1].at_ns - batch.samples[0].at_ns) * 1e-9 for _, batch in batches)

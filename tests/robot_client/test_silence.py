@@ -1,4 +1,4 @@
-"""Silence counts only while this process could have heard: its own stalls are nobody else's."""
+"""Silence counts only while this process could have received: its own stalls are not the link's."""
 
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,4 +1,4 @@
-"""What is not ready before the start is named, nothing moves, and a program that is not ours is never stopped."""
+"""Faults before the start are named, nothing moves, and a foreign program is never stopped."""
 
 import asyncio
 import re

@@ -1,4 +1,4 @@
-"""The client over real sockets, and nobody looks any more: the arm goes on for less than the bound."""
+"""The client over real sockets without judged frames: the arm's overtravel stays below the bound."""
 
 import asyncio
 import time
@@ -15,12 +15,12 @@ SLOW = {
 
 
 def blind(cell):
-    """Cameras stalled, frozen or black: the service judges nothing more, and answers every heartbeat."""
+    """Cameras stalled, frozen or black: the service judges nothing more, but answers every heartbeat."""
     cell.service.sees = False
 
 
 def mute(cell):
-    """A link that is half open, or a service that was stopped: nothing comes any more."""
+    """A half-open link, or a stopped service: nothing arrives any more."""
     cell.service.mute = True
 
 

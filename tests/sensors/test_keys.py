@@ -1,4 +1,4 @@
-"""Every key of a sensor's profile changes what it says it changes."""
+"""Every key of a sensor's profile has its documented effect."""
 
 from collections.abc import Callable
 from functools import cache
@@ -44,7 +44,7 @@ def gel(sensor: Sensor, du_mm: float = 0.0) -> np.ndarray:
 
 @cache
 def tracked(sensor: Sensor, du_mm: float = 0.0) -> MarkerField:
-    """What the service's tracker makes of a gel that moves by du_mm as a whole, from raw frames."""
+    """The service's tracking of a gel that moves by du_mm as a whole, from raw frames."""
     tracker, drawing = MarkerTracker(), renderer(sensor)
     rectifier = Rectifier(drawing.calibration)
     tracker.update(rectifier.apply(drawing.raw(gel(sensor), 0)), 0)

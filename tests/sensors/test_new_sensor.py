@@ -51,7 +51,7 @@ corners_raw_px = [[20.0, 15.0], [221.0, 14.0], [205.0, 262.0], [33.0, 261.0]]
 
 @pytest.fixture(scope="module", params=["gelsight_mini", "third"])
 def profile(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> str:
-    """What the commands are given: the name of a profile, or a file that was never seen before."""
+    """Argument of the commands: the name of a profile, or a new file."""
     if request.param != "third":
         return str(request.param)
     path = tmp_path_factory.mktemp("sensors") / "third.toml"

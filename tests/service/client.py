@@ -50,7 +50,7 @@ class Driver:
         time.sleep(0.2)  # three frames: none of before is still on its way
 
     def insert(self, number: int) -> wire.Finished:
-        """Full depth of 1 mm, so slow that a machine that stalls leaves nothing unseen that counts."""
+        """Full depth of 1 mm, so slow that a stalling machine misses nothing that counts."""
         self.rest()
         self.send(wire.Arm(insertion_id=self.id, attempt=number, gap_width_mm=56.0, expected_depth_mm=1.0))
         self.until("armed")

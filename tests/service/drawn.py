@@ -48,7 +48,7 @@ def raw(finger: Finger, index: int, onset: int, slip_at: int) -> NDArray[np.uint
 
 @lru_cache
 def untouched(finger: Finger) -> NDArray[np.uint8]:
-    """A frame of a finger that nothing touches."""
+    """A frame of an untouched finger."""
     return renderer(finger).raw(np.zeros((20, 21, 3), np.float32), 1)
 
 

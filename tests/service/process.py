@@ -18,7 +18,7 @@ START_TIMEOUT_S = 120.0
 
 @dataclass
 class ServiceProcess:
-    """`python -m service run` with its port and what it wrote to standard error."""
+    """`python -m service run` with its port and its standard error."""
 
     process: subprocess.Popen[str]
     port: int
@@ -61,7 +61,7 @@ class ServiceProcess:
 
 @contextlib.contextmanager
 def service_process(models: Path, recordings: Path, *options: str) -> Iterator[ServiceProcess]:
-    """A running service; it is asked to stop at the end, unless it is gone."""
+    """A running service; it is asked to stop at the end, unless it has already ended."""
     command = [sys.executable, "-m", "service", "run", "--models", str(models), "--recordings", str(recordings)]
     command += ["--state", str(recordings.parent / "state")]
     process = subprocess.Popen(

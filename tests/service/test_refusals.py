@@ -1,4 +1,4 @@
-"""Every reason not to decide, told by a whole session: no correction is ever made of what cannot be trusted."""
+"""Every refusal to decide, through a whole session: no correction is made from untrustworthy evidence."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -30,7 +30,7 @@ def models(folder: Path, change: Callable[[onnx.ModelProto], None] | None = None
 
 
 def spoil(value: float) -> Callable[[onnx.ModelProto], None]:
-    """The magnitude network's error becomes ``value``, whatever it sees."""
+    """The magnitude network's error becomes ``value``, whatever its input."""
 
     def change(model: onnx.ModelProto) -> None:
         for weights in model.graph.initializer:

@@ -1,4 +1,4 @@
-"""What goes wrong in a cell's network and on its disk, made on purpose for the soak; bounded, on loopback."""
+"""Faults of a cell's network and disk, injected for the soak; bounded, on loopback."""
 
 import contextlib
 import os
@@ -25,7 +25,7 @@ EXPECTED = (OSError, WebSocketException, httpx.HTTPError, EOFError)
 
 
 class Trouble:
-    """A thread that makes one kind of trouble every ``every_s`` or so until ``stop`` is set; counts what it did."""
+    """A thread that injects one kind of fault about every ``every_s`` until ``stop`` is set, and counts them."""
 
     def __init__(self, every_s: float, seed: int, make: Callable[[random.Random], str]) -> None:
         self.done: Counter[str] = Counter()
@@ -62,12 +62,12 @@ class Garbage:
         return kind.__name__.replace("_", " ")
 
     def close(self) -> None:
-        """Let go of the half requests."""
+        """Close the half requests."""
         for link in self._open:
             link.close()
 
     def _bearer(self, rng: random.Random) -> dict[str, str] | None:
-        """The token, three times of four: what it opens must stand garbage, too."""
+        """The token, three times out of four: authorised requests must survive garbage, too."""
         return self.service.bearer if rng.random() < 0.75 else None
 
     def noise(self, rng: random.Random) -> None:
@@ -106,7 +106,7 @@ class Garbage:
 
 
 class Reloads:
-    """Loads the models again, sometimes with a broken file, which must leave the old ones in place."""
+    """Reloads the models, sometimes with a broken file, which must leave the old ones in place."""
 
     def __init__(self, service: ServiceProcess, models: Path, spare: Path) -> None:
         self.service, self.models, self.spare = service, models, spare
@@ -128,7 +128,7 @@ class Reloads:
 
 
 class Cuts:
-    """Pulls a camera's plug for a moment."""
+    """Disconnects a camera for a moment."""
 
     def __init__(self, fingers: tuple[FakeFinger, FakeFinger]) -> None:
         self.fingers = fingers
@@ -142,6 +142,6 @@ class Cuts:
 
 
 def server_errors(service: ServiceProcess) -> list[str]:
-    """Lines of the service's log that tell of an exception it did not expect."""
+    """Lines of the service's log with an unexpected exception."""
     log = service.log
     return ["".join(log[i : i + 60]) for i, line in enumerate(log) if "Traceback" in line or '"level": "error"' in line]

@@ -1,4 +1,4 @@
-"""One command reaches every room, explains itself in 80 columns and refuses wrong input in one line."""
+"""One command reaches every package, explains itself in 80 columns and refuses wrong input in one line."""
 
 import importlib
 import json

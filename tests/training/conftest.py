@@ -13,7 +13,7 @@ def source():
 
 @pytest.fixture(scope="session")
 def cache(tmp_path_factory):
-    """Where pictures are kept once they were drawn: the same for all tests, their names say what they show."""
+    """Cache of drawn pictures, shared by all tests; file names identify the contents."""
     return tmp_path_factory.mktemp("drawn")
 
 

@@ -1,4 +1,4 @@
-"""Runs a network with what another interpreter has: KIND, model, inputs (.npz), outputs (.npz; onnxsim: a model)."""
+"""Runs a network in another interpreter: KIND, model, inputs (.npz), outputs (.npz; onnxsim: a model)."""
 
 import sys
 from importlib.metadata import version

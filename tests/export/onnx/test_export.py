@@ -39,7 +39,7 @@ STEPS = 50
 
 
 def test_the_released_networks_weigh_little():
-    """All that were released stay; those that read depth are what a cell loads."""
+    """All released networks stay; a cell loads those that read depth."""
     files = list((Path(__file__).parents[3] / "models").rglob("*.onnx"))
     assert len(files) == 12
     new = [file for file in files if "pressing" in file.parts]

@@ -43,7 +43,7 @@ def results(file, inputs):
 
 
 def elsewhere(variable, what, file, folder, suffix=".npz"):
-    """What another interpreter makes of a file, and the version that did."""
+    """Another interpreter's output for a file, and the version used."""
     python = os.environ.get(variable)
     if not python:
         pytest.skip(f"set {variable} to a Python with {what} (make peers does)")

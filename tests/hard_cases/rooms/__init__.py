@@ -1,1 +1,1 @@
-"""What is hard in each room, and what answers it."""
+"""The hard cases of each package, and their guards."""

@@ -1,4 +1,4 @@
-"""Hard data: what was cut, doubled, reordered, altered, or comes from elsewhere is named and refused."""
+"""Hard data: truncated, duplicated, reordered, altered or foreign data are named and refused."""
 
 import json
 import shutil

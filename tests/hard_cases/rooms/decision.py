@@ -1,4 +1,4 @@
-"""Hard decisions: boundaries of Eq. 1, evidence that lies, contradicts itself or is not a number."""
+"""Hard decisions: boundaries of Eq. 1; evidence that is false, contradictory or not a number."""
 
 import itertools
 import math

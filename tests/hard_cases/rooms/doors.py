@@ -1,4 +1,4 @@
-"""The doors of every room: what takes numbers from outside refuses, by name, those that are none."""
+"""The interfaces of every package: functions that take numbers from outside refuse non-finite ones by name."""
 
 import math
 from collections.abc import Callable

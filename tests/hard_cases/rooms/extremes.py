@@ -20,7 +20,7 @@ EXTREMES = (1e308, -1e308, 1e150, 1e-308, 5e-324, 0.0)
 
 
 def numbers(result: object) -> list[float]:
-    """Every number inside what a function returned."""
+    """Every number inside a function's result."""
     if isinstance(result, bool | str | bytes | type(None)):
         return []
     if isinstance(result, int | float | np.number):

@@ -174,7 +174,7 @@ def for_one(_watching: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def observed(finger: Finger, captured_ns: int, status: str = "tracking", state: str = "hold") -> Observation:
-    """As much of an observation as says whether it was judged."""
+    """The part of an observation that shows whether it was judged."""
     field_ = type("Field", (), {"usable": status == "tracking", "status": status})()
     slip = type("Slip", (), {"state": state, "stop": False})()
     image = np.zeros((1, 1, 3), np.uint8)

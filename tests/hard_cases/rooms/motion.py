@@ -29,7 +29,7 @@ def arc_sine(opposite: float, _adjacent: float) -> float:
 
 
 def divided_by_the_way(advance: Callable[..., WorkPose]) -> Callable[..., WorkPose]:
-    """Shares of a way are taken of whatever length it has."""
+    """Shares are taken of a path of any length."""
 
     def advanced(guide: MotionGuide, elapsed_s: float) -> WorkPose:
         assert not guide.moving or 1.0 / guide._profile.length
@@ -52,7 +52,7 @@ def outside_alone(_check: object) -> Callable[..., WorkPose]:
 
 
 def any_number(contract: type[Contract]) -> type[Contract]:
-    """Every contract type, those of messages too, takes numbers that are none."""
+    """Every contract type, including messages, gets non-finite numbers."""
     for part in contract.__subclasses__():
         part.model_config["allow_inf_nan"] = True
         part.model_rebuild(force=True)

@@ -1,4 +1,4 @@
-"""Hard inputs to the released networks: nothing to see, too much to see, endless streams, small and huge numbers."""
+"""Hard inputs to the released networks: nothing or too much visible, endless streams, small and huge numbers."""
 
 from functools import lru_cache
 from typing import Any

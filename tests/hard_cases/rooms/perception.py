@@ -1,4 +1,4 @@
-"""Hard frames and fields: fits without a solution, twists, jumps, light that lies, fingers that vanish."""
+"""Hard frames and fields: fits without a solution, twists, jumps, misleading light, fingers that vanish."""
 
 from collections.abc import Callable
 
@@ -197,7 +197,7 @@ def _hard_image(name: str, seed: int) -> np.ndarray:
 
 
 def _frame_case(name: str, why: str, guard: str, *, quick: bool = False) -> None:
-    """A frame that shows nothing usable: every result is finite and typed, and the grid comes back after it."""
+    """A frame without usable content: every result is finite and typed, and the grid returns after it."""
 
     def measure(seed: int) -> float:
         rng = np.random.default_rng(seed + 50)

@@ -28,14 +28,14 @@ def lowered(cell: QuasiStaticCell, depths: Iterator[float] | tuple[float, ...]) 
 
 
 def condition(cell: QuasiStaticCell) -> str:
-    """Condition number of the last solve's stiffness (mm and rad as they are), and what is done about it."""
+    """Condition number of the last solve's stiffness (mm and rad unscaled), and its remedy."""
     lower = np.tril(np.asarray(cell.trials["hess"][0], float))[:6, :6]
     number = np.linalg.cond(lower + np.tril(lower, -1).T)
     return f"condition {number:.0e}: the pads bound it, the diagonal is lifted by 1e-13 of its trace"
 
 
 def worst_of(cell: QuasiStaticCell, depths: tuple[float, ...] = (4.9, 5.0, 5.001, 5.05, 5.5, 6.5)) -> float:
-    """Largest of: residual over its bound, cone violation over its bound; infinite for a number that is none."""
+    """Largest of: residual over its bound, cone violation over its bound; infinite for a non-finite number."""
     worst = 0.0
     for state in lowered(cell, depths):
         if non_finite(state.gel, state.wrench_n_nmm, state.in_hand, state.object_error, state.block_motion):

@@ -1,4 +1,4 @@
-"""`doctor` against emulated devices: what is wrong is named, where it is, with a remedy of its own."""
+"""`doctor` against emulated devices: each fault is named in its place, with its own remedy."""
 
 import asyncio
 import os

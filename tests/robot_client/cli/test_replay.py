@@ -1,4 +1,4 @@
-"""The log of an insertion: it replays, it is never overwritten, and a file that is none is one clear line."""
+"""The log of an insertion: it replays, it is never overwritten, and an invalid file gives one clear line."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""An insertion told to the state machine, event by event: the messages, the plan, and the way to each phase."""
+"""An insertion fed to the state machine, event by event: the messages, the plan, and the way to each phase."""
 
 from robot_client.insertion.events import (
     Arrived,
@@ -29,7 +29,7 @@ def hello(insertion_id=ID, **changes):
 
 
 def armed(attempt, insertion_id=ID, at_s=0.0):
-    """The service's clock shows what ours does."""
+    """The service's clock equals ours."""
     captured_ns = round(at_s * 1e9)
     return wire.Armed(insertion_id=insertion_id, attempt=attempt, reference_seq=3, frame_captured_ns=captured_ns)
 

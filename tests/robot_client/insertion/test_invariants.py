@@ -1,4 +1,4 @@
-"""What the insertion's state machine must never do, whatever it is told."""
+"""Invariants of the insertion's state machine under any input."""
 
 import math
 

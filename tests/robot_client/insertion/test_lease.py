@@ -1,4 +1,4 @@
-"""The motion lease: the arm goes on for frames that were judged, and for nothing else."""
+"""The motion lease: the arm continues only on judged frames."""
 
 import math
 from itertools import pairwise
@@ -44,7 +44,7 @@ def test_a_descent_carries_the_end_of_its_lease_and_every_judged_frame_puts_it_o
 
 @pytest.mark.parametrize("pause_s", [0.0, PAUSE_S])
 def test_without_a_judged_frame_the_descent_ends_whatever_else_the_service_says(pause_s):
-    """An arm that cannot stand and go on is held at the end of the lease, by whoever sees it first."""
+    """An arm that cannot stop and go on is held at the end of the lease, by whichever side notices first."""
     state, _ = descending(pause_s)
     beat = wire.ServiceHeartbeat(insertion_id=ID, count=1, clock=wire.Clock(sent_ns=0, service_ns=0), frame_age_ms=1.0)
     for now_s in (0.03, 0.06, 0.09):
@@ -101,7 +101,7 @@ def test_nothing_descends_before_the_clocks_are_mapped_or_on_an_old_reference():
     st.lists(st.tuples(st.floats(0.0, 0.2), st.floats(0.0, 0.2), st.floats(0.01, 1.0)), min_size=1, max_size=20),
 )
 def test_no_stamp_is_ever_taken_for_younger_than_it_is(offset_s, trips):
-    """Whatever the ways there and back take, the mapped capture is not later than the true one."""
+    """Whatever the transit times, the mapped capture is not later than the true one."""
     now_s, mapped = 0.0, None
     for there_s, back_s, pause_s in trips:
         read = wire.Clock(sent_ns=round(now_s * 1e9), service_ns=round((now_s + there_s + offset_s) * 1e9))

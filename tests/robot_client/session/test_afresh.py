@@ -1,4 +1,4 @@
-"""An object that has turned goes up and over to its fixture, and the attempts with it are counted together."""
+"""Regrasp: a turned object goes up and over to its fixture, and its attempts are counted together."""
 
 import asyncio
 from dataclasses import replace
@@ -11,7 +11,7 @@ from tests.robot_client.insertion.stories import APPROACH, PLAN
 
 
 class Fixture:
-    """Notes how the object was taken up."""
+    """Notes how the object was lifted."""
 
     def __init__(self):
         self.ups = []

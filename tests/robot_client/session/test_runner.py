@@ -1,4 +1,4 @@
-"""What the runner owes the arm whatever happens around it: an end in order, and no start after a failure."""
+"""The runner's guarantees for the arm in any circumstances: an orderly end, and no start after a failure."""
 
 import asyncio
 import os
@@ -20,7 +20,7 @@ from tests.robot_client.insertion.stories import PLAN, TO_ARMING
 
 
 class Port:
-    """Any of the three ports: notes what it is asked, in order, in a list that all share."""
+    """Any of the three ports: notes its requests, in order, in a shared list."""
 
     held = False
 
@@ -123,7 +123,7 @@ def test_no_program_is_started_once_a_device_has_failed():
 
 
 class BrokenPipe:
-    """A terminal that nobody reads any more."""
+    """A terminal without a reader."""
 
     def on_event(self, _state, _event):
         raise BrokenPipeError(32, "Broken pipe")

@@ -15,7 +15,7 @@ from tests.robot_client.insertion.stories import ID, armed, slip
 
 
 class Script:
-    """Stands for the connection: what the service says, one after the other."""
+    """Stands in for the connection: the service's messages, one after the other."""
 
     def __init__(self, *messages):
         self.messages = [message.model_dump_json() for message in messages]

@@ -1,4 +1,4 @@
-"""Four probes name what is wired wrong, and accuse no good cell."""
+"""Four probes name wiring mistakes, and accuse no good cell."""
 
 import pytest
 from hypothesis import given
@@ -12,14 +12,14 @@ from tests.robot_client.insertion.stories import correction
 
 
 def felt(x_mm, theta_deg, sigmas=(2.0, 4.0), turns=None):
-    """A correction that says so of the error."""
+    """A correction with this estimate of the error."""
     estimate = {"dx_mm": x_mm, "dtheta_deg": theta_deg, "sigma_x_mm": sigmas[0], "sigma_theta_deg": sigmas[1]}
     update = {"estimate": wire.Estimate(**estimate), "turns_deg": turns}
     return correction(1).model_copy(update=update)
 
 
 def answers(signs=(1, 1), off=(0.0, 0.0), ending="", turned=(-0.2, 0.2)):
-    """What a cell with these signs and offsets feels on the four sides; ``turned``: at +x."""
+    """Answers of a cell with these signs and offsets on the four sides; ``turned``: at +x."""
     for x, theta in SIDES:
         answer = felt(
             signs[0] * 0.7 * x + off[0],

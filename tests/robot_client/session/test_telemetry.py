@@ -1,4 +1,4 @@
-"""Telemetry never keeps a stop waiting; what it tells stands in test_live.py."""
+"""Telemetry never delays a stop; its contents are tested in test_live.py."""
 
 import asyncio
 

@@ -185,7 +185,7 @@ def test_a_source_that_fails_is_tried_again_four_times_a_second() -> None:
 
 
 class Device:
-    """What OpenCV gives for a video device, frame by frame; there is none on a test machine."""
+    """OpenCV's interface to a video device, frame by frame; a test machine has none."""
 
     def __init__(self, frames_n: int) -> None:
         self.left_n, self.set_to, self.released = frames_n, {}, False

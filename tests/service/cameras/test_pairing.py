@@ -15,7 +15,7 @@ def frame(finger: Finger, seq: int, stamp_ms: float) -> TactileFrame:
 
 
 def pairs_of(phase_ms: float, jitter_ms: list[float]) -> list[FramePair]:
-    """What comes of 40 frames a finger at 30 fps, the right ones late by the phase, each moved by its jitter."""
+    """Pairs from 40 frames per finger at 30 fps, the right ones late by the phase, each moved by its jitter."""
     pairer = Pairer()
     frames = [frame("left", i, 100 + 33.3 * i + jitter_ms[i]) for i in range(40)]
     frames += [frame("right", i, 100 + 33.3 * i + phase_ms + jitter_ms[40 + i]) for i in range(40)]

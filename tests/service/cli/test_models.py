@@ -1,4 +1,4 @@
-"""`python -m service models` says in one line why the service would refuse a folder."""
+"""`python -m service models` states in one line why the service would refuse a folder."""
 
 from service.__main__ import main
 from tests.docs.commands import ROOT

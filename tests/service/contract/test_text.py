@@ -1,4 +1,4 @@
-"""What a terminal gets of foreign texts: every character visible, none of them a command."""
+"""Foreign texts on a terminal: every character visible, none of them a command."""
 
 import pytest
 from hypothesis import given

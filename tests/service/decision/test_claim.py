@@ -31,7 +31,7 @@ def pair(left: float | None = 6.0, right: float | None = 6.0, turn_rad: float = 
 
 
 def descent(**changes: object) -> Attempt:
-    """A watched descent to full depth with a held object that nothing pushes."""
+    """A watched descent to full depth with a held object without a push."""
     arm = wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0, gripper_width_mm=50.0)
     attempt = Attempt(arm, 0, generation=1, stage=Stage.STOPPED, reference=pair(), descending_ns=0)
     attempt.pushes = [Push(index * PERIOD_NS, 0.0, 0.0) for index in range(FRAMES)]
@@ -169,7 +169,7 @@ def test_the_way_that_an_object_slid_is_what_the_arm_went_on_after_the_markers_s
 
 
 def test_a_way_is_that_of_the_leg_in_which_it_was_gone() -> None:
-    """At 10 mm/s in both of two legs, the second told from 2 mm on."""
+    """At 10 mm/s in both of two legs, the second one announced at 2 mm."""
     whole = replace(blocked(0.5, 1.0), onset_ns=int(0.5e9))
     legs = replace(whole, leg_ns=int(0.2e9), start_mm=2.0)
     assert slid_mm(legs) == pytest.approx(slid_mm(whole))

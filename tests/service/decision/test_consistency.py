@@ -45,7 +45,7 @@ def correction(here: tuple[float, float], sigma: tuple[float, float], move: tupl
 
 
 def answered(steps: list[tuple[tuple[float, float], tuple[float, float], tuple[float, float]]]) -> str:
-    """What the refusal says, nothing if the steps are consistent."""
+    """Text of the refusal, empty if the steps are consistent."""
     consistency = Consistency()
     for here, sigma, move in steps:
         try:

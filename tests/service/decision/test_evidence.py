@@ -1,4 +1,4 @@
-"""What a network's outputs say, by the plain statistics of the density that they came from."""
+"""Evidence from a network's outputs, checked against plain statistics of the underlying density."""
 
 import math
 from types import SimpleNamespace

@@ -36,7 +36,7 @@ def test_hits_are_the_sum_over_all_errors_of_what_enters_when_a_cell_is_aimed_at
 
 
 def test_a_long_object_that_is_blocked_three_degrees_askew_may_still_be_there():
-    """A rectangle of 100 mm takes up 2.6 mm at 3 deg: being blocked says nothing. A round one would have entered."""
+    """A rectangle of 100 mm takes up 2.6 mm at 3 deg: a block means nothing. A round one would have entered."""
     grid = BeliefGrid(length_mm=100.0)
     grid.layers[:] = 0.0
     at = int(np.flatnonzero(CELLS == 0.0)[0]), int(np.flatnonzero(CELLS == 3.0)[0])

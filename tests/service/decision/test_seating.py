@@ -1,4 +1,4 @@
-"""Full depth is an insertion only where the gels agree: told by a whole session and by the evidence itself."""
+"""Full depth is an insertion only where the gels agree: by a whole session and by the evidence itself."""
 
 import math
 import threading

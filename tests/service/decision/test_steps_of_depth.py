@@ -28,7 +28,7 @@ class AnsweredError(Exception):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., ModelSet]:
-    """The released network with a card that states what a test says, and no more than it must."""
+    """The released network with a card reduced to a test's statements and the required ones."""
     released = load_models(RELEASED.parent).steps[0].card
     usual = released.pressing.model_dump(include={"lattice", "step_mm", "steps_n"}) | {"trained": {}}
 
@@ -52,7 +52,7 @@ def first_attempt(
     press_mm: float = wire.PRESS_MM,
     **changes: float,
 ) -> tuple[Insertion, Messages]:
-    """An insertion that is blocked at first, played until its first answer, and all that the service said."""
+    """An insertion that is blocked at first, played until its first answer, and all messages of the service."""
     soft = {"gel.friction": 1.0, "gel.shear_modulus_n_per_mm2": 0.08}
     job = Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", soft | changes, told_reach=told_reach)
     insertion, replies = stage(job, models), Messages()
@@ -124,7 +124,7 @@ def test_a_press_until_slip_ends_where_nothing_slips(made: Callable[..., ModelSe
 def test_what_moves_the_markers_too_little_for_a_press_stops_nothing(
     made: Callable[..., ModelSet], monkeypatch
 ) -> None:
-    """As when a heavy object sags in the air: the onset is awaited anew, until slip stops the arm."""
+    """As when a heavy object sags in the air: the onset is awaited again, until slip stops the arm."""
     monkeypatch.setattr(network_input, "FELT", 1e6)
     _, replies = first_attempt(made())
     assert answers(replies)[0] == "slip"

@@ -1,4 +1,4 @@
-"""What a blocked attempt leaves of a turn: what the object turned beyond what the gels turned back."""
+"""The turn left by a blocked attempt: the object's turn beyond the part that the gels turned back."""
 
 import math
 from dataclasses import replace

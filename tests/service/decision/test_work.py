@@ -1,4 +1,4 @@
-"""What keeps the networks from deciding is an answer, not an error of the thread that asks them."""
+"""Reasons against a decision are an answer, not an error of the networks' thread."""
 
 from dataclasses import replace
 from types import SimpleNamespace

@@ -18,7 +18,7 @@ def inserts(x_mm: float, theta_deg: float, width_mm: float = 51.0, length_mm: fl
 
 
 def evidence(x_mm: float, theta_deg: float, rng: np.random.Generator, sigma: tuple[float, float]) -> Evidence:
-    """What calibrated networks would say: a noisy reading, and class probabilities from its posterior."""
+    """Answers of calibrated networks: a noisy reading, and class probabilities from its posterior."""
     centre = (x_mm + rng.normal(0, sigma[0]), theta_deg + rng.normal(0, sigma[1]))
     draws = rng.normal(centre, sigma, (4000, 2))
     sign_x = np.sign(draws[:, 0]) * (np.abs(draws[:, 0]) > 2.5)
@@ -39,7 +39,7 @@ def trials(
     length_mm: float = 80.0,
     stated_mm: float | None = None,
 ) -> int:
-    """Attempts until insertion; 16 for a failure after 15. ``told_mm``: the length that the gripper tells."""
+    """Attempts until insertion; 16 for a failure after 15. ``told_mm``: the length reported by the gripper."""
     controller = make_controller(name, LIMITS, length_mm=stated_mm)  # type: ignore[arg-type]
     for attempt in range(1, 16):
         if inserts(x_mm, theta_deg, length_mm=length_mm):

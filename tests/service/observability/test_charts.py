@@ -1,4 +1,4 @@
-"""A cell that stays as it is alarms as seldom as it says; one that drifts alarms soon, with its cause."""
+"""An unchanged cell alarms as rarely as stated; a drifting one alarms soon, with its cause."""
 
 from functools import partial
 from pathlib import Path

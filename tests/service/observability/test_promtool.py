@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(PROMTOOL is None, reason="no promtool on this ma
 
 
 def promtool(*words: str, stdin: str = "") -> str:
-    """What it says of something that it accepts."""
+    """Its output for an accepted input."""
     done = subprocess.run([str(PROMTOOL), *words], input=stdin, capture_output=True, text=True, cwd=FOLDER, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout + done.stderr

@@ -12,7 +12,7 @@ GELSLIM_CROP = (0, 28, 384, 278)  # left, top, width, height of the sensor in th
 
 
 def real_data(name):
-    """Folder of one recording set; skips the test with the reason where it is absent."""
+    """Folder of one recording set; skips the test with the reason if it is absent."""
     given = os.environ.get("TACTILE_REAL_DATA")
     folder = (Path(given) if given else ROOT.parent / "shared" / "real_tactile") / name
     if not folder.is_dir():

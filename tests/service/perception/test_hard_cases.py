@@ -1,4 +1,4 @@
-"""What no lab sees twice: every case ends in a typed result with finite numbers, never in an exception."""
+"""Rare cases: every one ends in a typed result with finite numbers, never in an exception."""
 
 import numpy as np
 import pytest

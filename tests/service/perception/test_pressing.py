@@ -1,4 +1,4 @@
-"""Steps of depth are the same whatever camera, speed and marker grid they were seen through."""
+"""Steps of depth do not depend on camera, speed or marker grid."""
 
 import numpy as np
 import pytest

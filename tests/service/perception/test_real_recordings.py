@@ -17,7 +17,7 @@ CONTACT_FREE = [(3, 26), (99, 104), (188, 201), (293, 331), (423, 475), (603, 61
 
 @pytest.mark.slow
 def test_gelslim3_markers_come_home_after_every_press():
-    """At most 1 % of all markers more than a quarter pitch off whenever nothing touches the gel, to the end."""
+    """At most 1 % of all markers more than a quarter pitch off whenever the gel is untouched, to the end."""
     folder = real_data("gelslim3_press")
     tracker = MarkerTracker()
     frames = read_video(folder / "sample_realtime_depth.mp4", GELSLIM_CROP)

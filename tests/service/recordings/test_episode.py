@@ -24,7 +24,7 @@ AHEAD_NS = 7_000_000_000_000  # the client's clock, on another machine
 
 
 def tell(driver: Driver, *, seconds: float = 0.0, left_out_n: int = 0) -> list[int]:
-    """The task, and what a robot would tell from now on, of which the stamps on this machine's clock are returned."""
+    """The task, and a robot's samples from now on; returns their stamps on this machine's clock."""
     named = driver.id
     driver.send(wire.Episode(insertion_id=named, object="box", start=POSE, approach=POSE, versions={"client": "0.1.0"}))
     stamps, until = [], time.monotonic() + seconds

@@ -87,7 +87,7 @@ def pictures(recording: Path) -> dict[str, list[bytes]]:
 
 
 def decoded_by_rerun(python: str, recording: Path) -> dict[str, int]:
-    """How many pictures Rerun finds under each topic, each of which it can decode to pixels of one size."""
+    """Number of pictures that Rerun finds under each topic and can decode to pixels of one size."""
     done = subprocess.run([python, "-c", RERUN, str(recording)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     counts: dict[str, int] = json.loads(done.stdout)

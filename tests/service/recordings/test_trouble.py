@@ -1,4 +1,4 @@
-"""Whatever happens to the recordings: the list answers, readiness and a metric say so, and no frame goes silently."""
+"""Recording failures: the list still answers, readiness and a metric report them, and no frame is lost silently."""
 
 import contextlib
 import json
@@ -95,7 +95,7 @@ def test_a_disk_that_is_nearly_full_is_said_before_it_is_full(
 
 @contextlib.contextmanager
 def pushed(service: str, token: dict[str, str], grids: dict[str, tuple[int, int]]) -> Iterator[Callable[[], None]]:
-    """Two pushed cameras, and what shows the next frame of both; every picture is another one."""
+    """Two pushed cameras, and a function that shows the next frame of both; every picture is different."""
     rng, seq = np.random.default_rng(0), iter(range(10_000))
     pictures = {
         finger: [draw(grid(rows, columns, pitch=15.0), rng) for _ in range(6)]
@@ -146,7 +146,7 @@ def test_different_grids_on_two_fingers_are_refused_by_name_and_every_frame_is_k
 def refused(
     base: str, token: dict[str, str], station: Station, show: Callable[[], None]
 ) -> tuple[wire.Refused, int, Path]:
-    """Ask for a reference until it is refused; the refusal, how many pairs were shown meanwhile, and the recording."""
+    """Ask for a reference until it is refused; the refusal, the number of pairs shown meanwhile, and the recording."""
     with connect(f"{base}/v1/insertion", additional_headers=token, compression=None) as link:
         link.send(wire.ClientHello(insertion_id="unlike", client="test").model_dump_json())
         assert wire.parse_service(link.recv(20)).type == "hello"
@@ -169,7 +169,7 @@ def refused(
 
 
 def limited(service: ServiceProcess, bytes_n: int) -> None:
-    """From now on no file of the process may grow beyond this: what a full disk does, to this process alone."""
+    """Limit the size of the process's files: the effect of a full disk, on this process alone."""
     resource.prlimit(service.process.pid, resource.RLIMIT_FSIZE, (bytes_n, resource.RLIM_INFINITY))
 
 

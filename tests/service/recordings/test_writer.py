@@ -46,7 +46,7 @@ def test_a_recorded_insertion_is_decided_again_bit_for_bit(
 
 
 def test_recorded_markers_are_read_with_the_schema_that_lies_beside_them(tmp_path: Path) -> None:
-    """By a pool that knows nothing but the file."""
+    """By a pool that knows only the file."""
     spec = FrameSpec(width_px=327, height_px=320)
     watch = TactileFinger("left", spec, drawn.calibration().camera("left"))
     observation = watch.observe(TactileFrame("left", 7, 123_456_789, drawn.raw("left", 0, 10, 16)))

@@ -1,4 +1,4 @@
-"""What a running insertion does first and what it leaves for later."""
+"""A running insertion's urgent and deferred work."""
 
 import itertools
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ WRITERS = ("frame", "observation", "message", "call", "attempt")
 
 
 class Witness:
-    """An insertion over a real session and a real recorder, on a clock of its own; ``events`` is what happened when."""
+    """An insertion over a real session and a real recorder, on its own clock; ``events`` logs what happened when."""
 
     def __init__(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
         self.now_ns, self.events = 0, []

@@ -1,4 +1,4 @@
-"""How insertions open and are handed over: whoever asks is answered, and whoever loses an insertion is told."""
+"""Opening and handing over insertions: every request is answered, and a client that loses an insertion is informed."""
 
 import json
 import threading

@@ -1,4 +1,4 @@
-"""More frames than can be perceived: the newest win, and what slip is judged on stays young. In simulated time."""
+"""More frames than can be perceived: the newest win, and slip is judged on recent frames. In simulated time."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,7 +30,7 @@ def idle(tmp_path_factory: pytest.TempPathFactory, models_folder: Path) -> Itera
 
 
 class Clock:
-    """Time and the one thread that perceives: a frame costs ``step_ns``; what arrives meanwhile waits."""
+    """Time and the single perception thread: a frame costs ``step_ns``; frames arriving meanwhile wait."""
 
     def __init__(self, station: Station, step_ns: int, *, watches_slip: bool) -> None:
         self.now_ns, self.step_ns, self.station = 0, step_ns, station
@@ -51,7 +51,7 @@ class Clock:
             self.station._on_camera_frame(CameraFrame(TactileFrame(finger, seq, stamp, PIXELS), None))
 
     def tick(self, *_: object) -> None:
-        """Deadlines are not what this is about."""
+        """Deadlines are not tested here."""
 
 
 def perceive(station: Station, period_ns: int, step_ns: int, *, watches_slip: bool = True) -> list[int]:

@@ -1,4 +1,4 @@
-"""What the released networks say of frames alone is what they said when the frames came one by one."""
+"""The released networks give the same answer to a sequence as to frames arriving one by one."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ from simulation.closed_loop.play import models_of, stage
 
 @pytest.fixture(scope="module")
 def attempt():
-    """The rectified pairs of an attempt in lock step, what was stated of it, and the correction that came of it."""
+    """The rectified pairs of an attempt in lock step, its stated conditions, and the resulting correction."""
     insertion = stage(Job("rectangle", 0, 8.0, 5.0, 5, "belief", "pictures"), models_of(released_models()))
     pairs, messages = [], {}
     on_pair, handle = InsertionSession.on_pair, InsertionSession.handle

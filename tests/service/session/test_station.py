@@ -1,4 +1,4 @@
-"""The perception thread's order of work: what everybody says must not keep it from the clock."""
+"""The perception thread's order of work: messages must not keep it from the clock."""
 
 import itertools
 import time

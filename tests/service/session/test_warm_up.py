@@ -18,7 +18,7 @@ def messages(monkeypatch: pytest.MonkeyPatch) -> list[wire.ServiceMessage]:
 
 
 def moves(messages: list[wire.ServiceMessage]) -> list[str]:
-    """The first word of what each controller gave as the reason of its move."""
+    """The first word of each controller's reason for its move."""
     return [message.detail.partition(" ")[0] for message in messages if isinstance(message, wire.Fault)]
 
 

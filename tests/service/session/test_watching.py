@@ -1,4 +1,4 @@
-"""`watching` is sent for pairs of frames that were judged anew, and for nothing else."""
+"""`watching` is sent only for newly judged pairs of frames."""
 
 import numpy as np
 import pytest

@@ -32,13 +32,13 @@ from tests.service.soak.story import Killed, Story
 from tests.service.trouble import Cuts, Garbage, Reloads, Trouble, server_errors
 
 SAMPLE_S = 5.0
-REST_S = 0.3  # from `finished` until what the insertion held is given back, on a machine that is free
+REST_S = 0.3  # from `finished` until an insertion's memory is released, on an idle machine
 REST_READINGS, CLOSED_S = 3, 5.0
 
 
 @dataclass
 class Soak:
-    """The whole run and what it found."""
+    """The whole run and its findings."""
 
     service: ServiceProcess
     fingers: tuple[FakeFinger, FakeFinger]
@@ -109,7 +109,7 @@ class Soak:
                 self.at_rest.append((time.monotonic() - self.started, least))
 
     def _verify(self, story: Story) -> None:
-        """What was finished is on the disk, whole, with every correction the client heard."""
+        """Every finished insertion is on the disk, complete, with every correction that the client received."""
         path = Path(story.finished.recording or "nowhere")
         try:
             recording = Recording(path)
@@ -126,7 +126,7 @@ class Soak:
         httpx.delete(folder, headers=self.service.bearer, timeout=60).raise_for_status()
 
     def verify_abandoned(self) -> None:
-        """What no client finished is closed all the same: by a takeover, a silence, or the end of the service."""
+        """Insertions that no client finished are closed, too: by a takeover, a silence, or the end of the service."""
         for insertion in self.abandoned:
             folders = list(self.service.recordings.glob(f"*_{insertion}"))
             if len(folders) != 1 or not (folders[0] / "insertion.mcap").is_file():
@@ -142,7 +142,7 @@ class Soak:
                 )
 
     def slope(self, kind: str) -> Slope:
-        """Growth of what is resident at rest: ``all``, ``own`` (heaps) or ``files`` (libraries)."""
+        """Growth of resident memory at rest: ``all``, ``own`` (heaps) or ``files`` (libraries)."""
         at_s, memory = zip(*self.at_rest, strict=True) if self.at_rest else ((), ())
         return slope(list(at_s), [m[kind] for m in memory], self.samples[-1][0] if self.samples else 0.0)
 

@@ -54,7 +54,7 @@ class Story:
         self.link.send(message.model_dump_json())
 
     def kill(self) -> None:
-        """The process dies: the kernel resets its connection, no goodbye is said."""
+        """The process dies: the kernel resets its connection, without a goodbye."""
         self.link.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         self.link.socket.close()
         self.counts["clients killed"] += 1
@@ -76,7 +76,7 @@ class Story:
                 raise ConnectionError(message.reason)
 
     def check(self, message: object) -> None:
-        """Nothing may ever come for another insertion or attempt."""
+        """No message may arrive for another insertion or attempt."""
         number = getattr(message, "attempt", self.attempt)
         if message.insertion_id != self.id or number != self.attempt:
             self.wrong.append(f"{self.id} attempt {self.attempt} got {message.model_dump_json()[:300]}")

@@ -1,4 +1,4 @@
-"""The judge of the soak's memory is itself judged: it sees a leak, and it does not see one where there is none."""
+"""The soak's memory check is itself checked: it detects a leak, and reports none without a leak."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Calibration finds the rectification that a simulated camera was drawn with, and refuses what is no resting gel."""
+"""Calibration finds a simulated camera's rectification, and refuses anything but a resting gel."""
 
 import json
 
@@ -142,7 +142,7 @@ def test_an_absent_camera_is_one_line_and_exit_2(tmp_path, capsys):
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_finger_learns_the_gel_that_it_was_calibrated_with_and_no_other(seed: int):
-    """Swapped cameras look well each by itself; the print tells them apart."""
+    """Swapped cameras each look correct; the print distinguishes them."""
     cameras = {finger: renderer(finger, seed) for finger in FINGERS}
     for finger in FINGERS:
         calibration = fit_camera(still(cameras[finger]), finger, Sensor.load()).camera

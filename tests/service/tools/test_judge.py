@@ -86,7 +86,7 @@ def test_odd_runs_are_named_in_one_line_each_and_the_others_judged(tmp_path, cap
 @pytest.mark.real_data
 @pytest.mark.slow
 def test_real_objects_that_leave_the_hand_are_lost(tmp_path):
-    """Short runs: the loss lies where the imprint is seen to go (frames found by eye on the touch curves)."""
+    """Short runs: the loss is where the imprint disappears (frames found by eye on the touch curves)."""
     root = tmp_path / "runs"
     root.mkdir()
     leaves_at = {"ball_white_thread_6_slip": 90, "ball_white_thread_7_slip": 88, "marker_pen_2_slip": 44}

@@ -1,4 +1,4 @@
-"""The open gel is found among frames that do not say what they show, and is not made up where there is none."""
+"""The open gel is found among unlabelled frames, and is not invented where there is none."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A recording may come from anybody: nothing that it names is opened."""
+"""A recording may come from anybody: no path in it is opened."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""The rule by which versions change places errs as seldom as it says, and notices what it is for."""
+"""The rule for changing versions errs as rarely as stated, and detects real differences."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""A version in shadow on a running service: it answers what the active one answers to, and decides when it should."""
+"""A version in shadow on a running service: it answers the active version's attempts, and decides when it should."""
 
 import json
 import time

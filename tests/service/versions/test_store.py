@@ -1,4 +1,4 @@
-"""What is wired on the disk holds after a kill at any moment, and what was edited is refused."""
+"""The wiring on disk survives a kill at any moment, and an edited one is refused."""
 
 import contextlib
 import os
@@ -37,7 +37,7 @@ while True:
 
 
 def quiet(_: str, __: object) -> None:
-    """Nobody listens."""
+    """A listener that does nothing."""
 
 
 @pytest.fixture

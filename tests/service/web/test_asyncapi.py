@@ -1,4 +1,4 @@
-"""The description of the WebSockets is the code's own: nothing is missing, nothing is left over, examples are valid."""
+"""The description of the WebSockets matches the code: nothing missing, nothing left over, examples valid."""
 
 import json
 from typing import Any

@@ -1,4 +1,4 @@
-"""However a conversation ends, the client is told why, and no client can hold on to what it does not read."""
+"""However a conversation ends, the client gets the reason, and no client can block on unread data."""
 
 import contextlib
 import socket

@@ -1,4 +1,4 @@
-"""The page in a real Chromium: what it shows on panels, tablets and phones, by mouse and by keyboard."""
+"""The page in a real Chromium: on panels, tablets and phones, by mouse and by keyboard."""
 
 import json
 import os
@@ -100,7 +100,7 @@ def give_up(driver: Driver, cause: wire.Cause = "operator", reason: str = "done"
 
 
 def tell_depth(driver: Driver, began_ns: int, ended_ns: int) -> None:
-    """What a robot would have told: down to 6 mm, and up again."""
+    """A robot's telemetry: down to 6 mm, and up again."""
     at_ns = [began_ns + k * (ended_ns - began_ns) // 60 for k in range(60)]
     depths_mm = [6.0 - abs(0.2 * k - 6.0) for k in range(60)]
     samples = [
@@ -255,7 +255,7 @@ def test_a_cut_camera_is_seen_at_once_and_stays_an_alarm(live: LiveService, page
 
 
 def test_a_link_that_hangs_is_no_state_of_the_cell(live: LiveService, browser: Any) -> None:
-    """Of a half-open link the page would show for ever what was last; it says so, and connects again by itself."""
+    """On a half-open link the page would show its last state for ever; it reports this and reconnects by itself."""
     with closing(Relay.to(live.url(""))) as relay, closing(browser.new_page()) as page:
         page.goto(f"{relay.url}/")
         wait_until(page, "document.querySelectorAll('#health .good').length >= 2")

@@ -1,4 +1,4 @@
-"""What drifts is measured on each insertion, and said to the person, the log's readers and Prometheus."""
+"""Drift is measured on each insertion, and reported to the person, the log and Prometheus."""
 
 import json
 import time
@@ -21,7 +21,7 @@ def cell(tmp_path: Path, models_folder: Path) -> Iterator[LiveService]:
 
 
 def insert(cell: LiveService, name: str) -> dict[str, object]:
-    """An object that goes in at once; what the summary says."""
+    """An object that is inserted at once; returns its summary."""
     driver = Driver(cell, name)
     driver.until("hello")
     finished = driver.insert(1)
@@ -30,7 +30,7 @@ def insert(cell: LiveService, name: str) -> dict[str, object]:
 
 
 def kept(cell: LiveService, n: int) -> dict[str, dict[str, dict[str, list[float]]]]:
-    """What the charts' file holds once ``n`` insertions were added."""
+    """Contents of the charts' file once ``n`` insertions were added."""
     deadline = time.monotonic() + 30
     while True:
         assert time.monotonic() < deadline

@@ -1,4 +1,4 @@
-"""Whatever arrives: no 5xx, no dead session. Afterwards a correct client gets its insertion done all the same."""
+"""Any input: no 5xx, no dead session. Afterwards a correct client still completes its insertion."""
 
 import contextlib
 import itertools
@@ -97,7 +97,7 @@ def talk(live: LiveService, path: str, sent: list[str | bytes], hello: bool) -> 
 
 
 def first_to_drive(live: LiveService) -> Driver:
-    """A client that drives as soon as the service has noticed that the fuzzing ones are gone."""
+    """A client that drives once the service has noticed the end of the fuzzing ones."""
     deadline = time.monotonic() + 50
     while True:
         driver = Driver(live, f"after-fuzz-{next(numbers)}")

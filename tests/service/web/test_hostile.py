@@ -1,4 +1,4 @@
-"""Whoever floods the port costs memory that is bounded, and neither the robot nor a health check waits for him."""
+"""Flooding the port costs bounded memory, and neither the robot nor a health check has to wait."""
 
 import contextlib
 import socket
@@ -42,7 +42,7 @@ def test_64_bodies_at_once_stay_within_the_memory_and_the_robot_gets_in(service:
 
 @pytest.mark.slow
 def test_64_bodies_that_never_end_stay_within_the_memory_too(service: ServiceProcess) -> None:
-    """In chunks, so that nothing is declared."""
+    """In chunks, so that no length is declared."""
     chunk = b"100000\r\n" + b"x" * (1 << 20) + b"\r\n"
     with most_mb(service) as most, contextlib.ExitStack() as stack:
         for _ in range(64):

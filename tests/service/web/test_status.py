@@ -1,4 +1,4 @@
-"""What the page is told: one snapshot, the same for who was there and for who comes later."""
+"""The page's data: one snapshot, the same for early and late pages."""
 
 import json
 import time
@@ -36,7 +36,7 @@ def until(live: LiveService, holds: Callable[[dict[str, Any]], bool]) -> dict[st
 
 
 def first_status(live: LiveService) -> dict[str, Any]:
-    """What a page that connects now is shown first."""
+    """The first snapshot of a page that connects now."""
     with connect(live.url("/v1/live", "ws"), max_size=None) as page:
         while True:
             message = json.loads(page.recv(30))

@@ -19,7 +19,7 @@ from tests.service.conftest import LiveService, bearer, served
 
 @pytest.fixture
 def pushed(tmp_path: Path, models_folder: Path) -> Iterator[tuple[Station, str, dict[str, str]]]:
-    """A service whose cameras are whatever clients push, its address, and the header that opens it."""
+    """A service with pushed cameras, its address, and the authorising header."""
     settings = Settings(models=models_folder, camera_left="push:", camera_right="push:", recordings=tmp_path / "r")
     with served(settings) as (station, port):
         yield station, f"ws://127.0.0.1:{port}", bearer(station)

@@ -1,4 +1,4 @@
-"""What twenty pages cost the service while an attempt is watched: processor time, with them and without, in turns."""
+"""The cost of twenty pages while an attempt is watched: processor time with and without them, in turns."""
 
 import contextlib
 import threading

@@ -1,4 +1,4 @@
-"""The cell as a whole: truth, faults over HTTP, ports, what happens to a dropped object."""
+"""The cell as a whole: ground truth, faults over HTTP, ports, and a dropped object."""
 
 import socket
 

@@ -61,7 +61,7 @@ def test_an_object_that_slid_up_in_the_hand_without_a_slip_message_is_not_claime
 
 
 def test_nothing_is_claimed_of_an_object_that_left_the_simulated_grasp(models):
-    """What the gels would see of it is not known: the insertion is void, not inserted and not a false claim."""
+    """The gels' view of it is unknown: the insertion is void, not inserted and not a false claim."""
     play = stage(job(), models)
     play.cell.physics.grasp_lost = True
     play.cell.state = play.cell.physics.look()

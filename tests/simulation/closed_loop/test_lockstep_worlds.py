@@ -1,4 +1,4 @@
-"""What a world's keys do to the arm and the cameras of the cell in lock step."""
+"""Effects of a world's keys on the arm and the cameras of the cell in lock step."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Collection: labels are true, groups stay whole, and a kill at any moment loses and doubles nothing."""
+"""Collection: labels are true, groups stay whole, and a kill at any moment loses and duplicates nothing."""
 
 import dataclasses
 import hashlib

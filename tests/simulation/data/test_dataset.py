@@ -1,4 +1,4 @@
-"""Datasets: what is listed is whole, what is read is what was written, what is broken is named and left alone."""
+"""Datasets: listed shards are complete, data round-trips, and broken data are named and left unchanged."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""Work is done once each, in order where asked, and nobody waits for what a failure made useless."""
+"""Each piece of work is done once, in order if requested, and nothing waits for work that a failure made useless."""
 
 import time
 

@@ -174,7 +174,7 @@ def test_rounds_settle_what_goes_round_in_circles():
 
 
 def test_a_grasp_that_seldom_comes_to_rest_ends_before_it_costs_an_hour(monkeypatch):
-    """Every other load step fails once and is halved: the way would be gone, at several times its price."""
+    """Every other load step fails once and is halved: the motion completes, at several times its cost."""
     monkeypatch.setattr(foreign, "FAILED_N", 3)
     cell, solve, calls = held(), ForeignCell._rests, itertools.count()
     monkeypatch.setattr(ForeignCell, "_rests", lambda self, *step: next(calls) % 3 != 0 and solve(self, *step))

@@ -1,4 +1,4 @@
-"""The foreign cell's own pictures: read by the service's tracker, told from those of an open gel."""
+"""The foreign cell's own pictures: read by the service's tracker, distinguished from those of an open gel."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def test_a_gel_of_another_shape_is_refused(camera):
 
 
 def test_a_flat_face_that_the_pictures_hardly_show_is_held_until_it_is_gone(tmp_path):
-    """It covers both gels: no picture reaches the touch that counts, so the markers tell whether it is still there."""
+    """It covers both gels: no picture reaches the touch limit, so the markers show whether it is still there."""
     scene = load_scene("rectangle")
     cameras = [Camera(scene.sensor, seed) for seed in (3, 4)]
     held = ForeignCell(scene).look().gel

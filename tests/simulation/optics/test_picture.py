@@ -1,4 +1,4 @@
-"""Pictures: drawn from plain arrays, whatever part of the decision is known."""
+"""Pictures: drawn from plain arrays, with any part of the decision."""
 
 from pathlib import Path
 

@@ -58,7 +58,7 @@ class TwoLinePhysics:
 
 
 def draw(gel, frame_seed, previous):
-    """A grey image whose level tells the frame seed."""
+    """A grey image with a level given by the frame seed."""
     return np.full((320, 427, 3), frame_seed % 200, np.uint8)
 
 

@@ -1,4 +1,4 @@
-"""What the numerics promise: order under load step and grid, dissipation, load-step error, drift of a held load."""
+"""Guarantees of the numerics: order under load step and grid, dissipation, load-step error, drift of a held load."""
 
 import numpy as np
 import pytest

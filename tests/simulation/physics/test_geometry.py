@@ -1,4 +1,4 @@
-"""The geometry table of the paper: what inserts, how far off it may be, and the lever arm about the block's edge."""
+"""The geometry table of the paper: inserting poses, allowed errors, and the lever arm about the block's edge."""
 
 import numpy as np
 import pytest

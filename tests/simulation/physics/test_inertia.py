@@ -1,4 +1,4 @@
-"""Inertia of the held object: a mass on the gel's springs, and nothing where the arm is slow."""
+"""Inertia of the held object: a mass on the gel's springs, without effect where the arm is slow."""
 
 import numpy as np
 import pytest
@@ -62,7 +62,7 @@ def test_a_fast_heavy_object_still_moves_after_the_arm_has_stopped() -> None:
 
 
 def test_an_object_that_is_lowered_steadily_in_creeping_gels_weighs_what_it_weighs() -> None:
-    """Before it touches anything: at constant speed nothing but gravity pulls at it."""
+    """Before any contact: at constant speed only gravity pulls at it."""
     scene = load_scene(
         "rectangle",
         speed_mm_s=25.0,

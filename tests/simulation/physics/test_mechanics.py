@@ -1,4 +1,4 @@
-"""What the solver promises: residuals, friction cones, memory, determinism, and typed failures."""
+"""Guarantees of the solver: residuals, friction cones, memory, determinism, and typed failures."""
 
 import dataclasses
 import hashlib

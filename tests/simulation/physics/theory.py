@@ -1,4 +1,4 @@
-"""The simulator beside what theory knows, always through the whole cell.
+"""The simulator against theory, always through the whole cell.
 
 Hertz, Cattaneo-Mindlin and Winkler: a heavy flat box hangs between two paraboloid pads, and its weight is the
 tangential load (Johnson, Contact Mechanics, 1985, 4.22-4.24 and 7.38-7.42; on bristles the stick radius is
@@ -112,7 +112,7 @@ def inserting(name: str, draws: int, seed: int) -> Estimate:
 
 
 def theory_page(grids: tuple[int, ...], draws: int) -> str:
-    """The whole of docs/theory.md, computed afresh."""
+    """The whole of docs/theory.md, recomputed."""
     rows = [row for study in (half_space, winkler) for row in zip(*(study(n) for n in grids), strict=True)]
     shares = [(name, share, inserting(name, draws, 0)) for name, share in INSERTS.items()]
     return page(

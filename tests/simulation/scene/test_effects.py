@@ -1,4 +1,4 @@
-"""Effects: each matters in one scene and not in another, and its predicate tells the two apart.
+"""Effects: each matters in one scene and not in another, and its predicate distinguishes the two.
 
 What is off is not even called, and leaves the outputs of all others bit for bit as they are.
 """

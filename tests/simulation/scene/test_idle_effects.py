@@ -1,4 +1,4 @@
-"""Every effect that is on and has nothing to do leaves bit for bit what it leaves when it is off."""
+"""Every effect that is on without work to do gives bit for bit the same result as when it is off."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Scenes refuse what cannot be, naming the key."""
+"""Scenes refuse impossible values, naming the key."""
 
 import re
 

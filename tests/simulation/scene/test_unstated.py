@@ -1,4 +1,4 @@
-"""Told and true poses: what each error of a calibration and each mistake of a first day means."""
+"""Reported and true poses: the effect of each calibration error and each mistake of a first day."""
 
 import math
 

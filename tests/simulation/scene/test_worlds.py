@@ -1,4 +1,4 @@
-"""Worlds and objects in files: every world with every object, and what cannot be is refused by name."""
+"""Worlds and objects in files: every world with every object; impossible values are refused by name."""
 
 import re
 from pathlib import Path

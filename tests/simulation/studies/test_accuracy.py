@@ -1,4 +1,4 @@
-"""What accuracy costs is measured the way the document says, and hard probes are one command that can be resumed."""
+"""The cost of accuracy is measured as documented, and hard probes are one resumable command."""
 
 import json
 from pathlib import Path

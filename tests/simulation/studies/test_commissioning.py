@@ -1,4 +1,4 @@
-"""A cell is asked for its signs before it learns, and a row says the same things of every cell."""
+"""A cell's wiring is checked before it learns, and a row has the same fields for every cell."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""What an episode keeps is what training reads, and four probes show how a cell is wired."""
+"""An episode stores what training reads, and four probes show a cell's wiring."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from simulation.studies.episodes import named_mistakes
 
 
 def probe(x_mm, theta_deg, felt, sigma=1.5):
-    """A row of a probe at a known error whose networks said ``said``."""
+    """A row of a probe at a known error with the networks' answer ``said``."""
     estimate = {
         "dx_mm": felt[0],
         "dtheta_deg": felt[1],

@@ -1,4 +1,4 @@
-"""What is told to CalculiX is the foreign cell's own pad and path, and what it says is read as it is meant."""
+"""CalculiX gets the foreign cell's own pad and path, and its output is read correctly."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What presses tell of a gel: intervals hold what they promise, and what is not intervals is as wide as before."""
+"""Identification from presses: intervals hold their coverage, and undetermined parameters keep their full width."""
 
 import json
 
@@ -16,7 +16,7 @@ CELL = 5
 
 
 def numbers(truth, rng):
-    """Of cells that show the first parameter, the second where the first is large, and nothing else."""
+    """Cells that show the first parameter, and the second where the first is large, and nothing else."""
     noise = rng.normal(0.0, 0.02, (len(truth), 2))
     shown = np.stack([truth[:, 0], np.where(truth[:, 0] > 0.5, truth[:, 1], 0.5)], 1) + noise
     return np.hstack([shown, rng.normal(0.0, 1.0, (len(truth), 48))])

@@ -1,4 +1,4 @@
-"""Live insertions that are broken on purpose: what is measured, and that the bounds hold."""
+"""Live insertions with injected faults: the measurements, and that the bounds hold."""
 
 import json
 import socket
@@ -57,7 +57,7 @@ def test_motion_after_the_hold_is_seen():
 
 
 class Echo(socketserver.BaseRequestHandler):
-    """Sends back what it gets."""
+    """An echo server."""
 
     def handle(self):
         while data := self.request.recv(100):

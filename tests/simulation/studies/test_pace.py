@@ -1,4 +1,4 @@
-"""Choices of settings are played fairly, keep every bound of the client, and are chosen by what they reached."""
+"""Choices of settings are played fairly, keep every bound of the client, and are chosen by their results."""
 
 import json
 import tomllib

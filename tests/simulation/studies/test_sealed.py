@@ -1,4 +1,4 @@
-"""Nobody chooses what a sealed test plays, more of it begins alike, and its page tells every failure."""
+"""Nobody can choose what a sealed test plays, a larger one extends a smaller one, and its page lists every failure."""
 
 import shutil
 
@@ -64,7 +64,7 @@ def test_the_page_begins_with_what_is_missed_and_lists_every_failure(release):
 
 
 def row_of(job):
-    """What playing a job could give."""
+    """A possible result of a job."""
     course = {"force_n": 12.0, "block_mm": 0.1}
     ended = {"inserted": True, "claimed": True, "in_gap": True, "void": False, "grasp_kept": True, "attempts": 1}
     return {**job, **ended, "reason": "", "shortfalls": (), "final_error": [0.0, 0.0], "trials": [], "course": course}

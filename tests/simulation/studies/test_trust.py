@@ -1,4 +1,4 @@
-"""Faults in the middle of a descent that would fit: what is claimed of them, and how it is counted."""
+"""Faults during a descent that would fit: their claims, and how they are counted."""
 
 import json
 

@@ -120,7 +120,7 @@ def test_a_cell_that_is_off_is_learnt_from_work(release, tmp_path, stages):
 
 
 def test_presses_around_a_cell_teach_what_few_probes_only_confirm(release, tmp_path):
-    """What was never probed is learnt from a simulator that resembles the cell; probes judge and calibrate it."""
+    """Errors outside the probes are learnt from a simulator of a similar cell; probes evaluate and calibrate it."""
     start, sensor = Checkpoint.load(release), Sensor.load()
     presses = read_episodes(recorded(tmp_path / "presses", 80, seed=5), sensor)
     probes = read_episodes(recorded(tmp_path / "probes", 30, seed=6), sensor)
@@ -153,7 +153,7 @@ def test_a_tool_that_is_off_is_told_and_not_learnt(release, tmp_path):
 
 
 def test_probes_that_say_nothing_never_make_a_surer_network(release, tmp_path):
-    """Errors without any bearing on what was seen can at best teach the network how little it knows."""
+    """Errors unrelated to the input can at best teach the network how little it knows."""
     samples = read_episodes(recorded(tmp_path, 60, stated_right=False), Sensor.load())
     comparison = compared(Checkpoint.load(release), samples, "calibration", "gain")
     assert comparison.figures[comparison.best]["coverage90_x"] > comparison.figures["released"]["coverage90_x"]
@@ -162,7 +162,7 @@ def test_probes_that_say_nothing_never_make_a_surer_network(release, tmp_path):
 
 @pytest.mark.parametrize(("known_of", "surer"), [("probe", True), ("work", False)])
 def test_only_probes_make_a_network_surer(known_of, surer):
-    """What went in by a network's own moves agrees with it, whatever its error was."""
+    """An insertion by a network's own moves agrees with it, whatever its error was."""
     rng, count = np.random.default_rng(0), 60
     truth = rng.uniform(-12, 12, (count, 2))
     error = truth + rng.normal(0.0, 0.2, truth.shape)

@@ -1,4 +1,4 @@
-"""Bad input at the command line: named in one line, refused, and not a byte of what was there overwritten."""
+"""Invalid input at the command line: named in one line, refused, and no existing byte overwritten."""
 
 import json
 import sys
@@ -128,7 +128,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(probes, run_file, tmp_path,
 
 @pytest.fixture
 def foreign(tmp_path):
-    """A checkpoint whose weights are of another size than it says."""
+    """A checkpoint whose weights do not have the stated size."""
     stated = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
     weights = build(stated.model_copy(update={"state_size": 24}), len(CLASSES), Sensor.load())
     path = tmp_path / "foreign.pt"

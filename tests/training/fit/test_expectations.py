@@ -1,4 +1,4 @@
-"""What the belief expects is what was planted in logs of insertions, and what the data held."""
+"""The belief's expectations are the ones planted in logs of insertions, and those of the data."""
 
 import json
 
@@ -16,7 +16,7 @@ USUAL = Expectations()
 
 
 def log_of(path, far_mm, near_mm, per_mm, rng, count=400):
-    """Insertions of two attempts whose object crept outwards as told, a few of them far more."""
+    """Insertions of two attempts whose object crept outwards by a given amount, a few of them far more."""
     with path.open("w") as file:
         for _ in range(count):
             height_mm, x_mm = float(rng.uniform(30, 90)), float(rng.uniform(-14, 14))

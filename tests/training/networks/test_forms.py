@@ -1,4 +1,4 @@
-"""What a step makes of the state it is given: it comes from outside the graph and may be anything a float holds."""
+"""A step's handling of its state, which comes from outside the graph and may be any float."""
 
 import numpy as np
 import pytest

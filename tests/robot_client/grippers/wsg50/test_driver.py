@@ -1,4 +1,4 @@
-"""The driver against the emulated gripper, over a real socket: what it asks for, in which order, what it reports."""
+"""The driver against the emulated gripper, over a real socket: its requests, their order, and its reports."""
 
 import asyncio
 import contextlib

@@ -1,4 +1,4 @@
-"""What keeps the watch over a grasp alive: the grasping state itself, not whatever else comes from the gripper."""
+"""The watch over a grasp is kept alive by the grasping state itself, not by other messages of the gripper."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Who is answered, and with what first: the robot that was started, where its arm stands already."""
+"""The robot that is answered, and the first answer: the started robot, at its arm's present pose."""
 
 import asyncio
 import math
@@ -16,7 +16,7 @@ from robot_client.settings import load_settings
 
 
 class Wire:
-    """Stands for the UDP socket; keeps what is sent."""
+    """Stands in for the UDP socket; keeps sent data."""
 
     def __init__(self):
         self.sent = []
@@ -26,7 +26,7 @@ class Wire:
 
 
 def answers_to(tilt_deg):
-    """What is answered to ten datagrams of an arm that stands still, its tool tilted; and what is said of it."""
+    """Answers to ten datagrams of a resting arm with a tilted tool, and the reported failure."""
     half = math.radians(180.0 - tilt_deg) / 2.0
     measured = codec.Pose(5.0, 0.0, 60.0, math.cos(half), math.sin(half), 0.0, 0.0)
     arm, wire = EgmArm(Settings(), Limits(), Ramps()), Wire()

@@ -1,4 +1,4 @@
-"""Guidance datagram by datagram: what is answered, what is reported, and what freezes the arm for good."""
+"""Guidance datagram by datagram: the answers, the reports, and the causes of a permanent freeze."""
 
 import asyncio
 

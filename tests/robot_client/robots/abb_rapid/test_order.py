@@ -1,4 +1,4 @@
-"""Two sockets to one robot: what was said on one may arrive after what was said later on the other."""
+"""Two sockets to one robot: a message on one may arrive after a later message on the other."""
 
 import math
 
@@ -15,7 +15,7 @@ from tests.robot_client.clock import stopped_clock
 
 
 class Writer:
-    """Stands for a connection; keeps what is written."""
+    """Stands in for a connection; keeps written data."""
 
     def __init__(self):
         self.sent = []
@@ -97,7 +97,7 @@ def test_an_arm_that_still_creeps_does_not_stand(clock, step_mm, stands):
 
 @pytest.mark.parametrize(("answers_n", "stands"), [(3, False), (5, True)])
 def test_an_arm_stands_once_it_has_rested_for_three_answers(clock, answers_n, stands):
-    """0.15 s at 20 answers a second, from the first of them on."""
+    """0.15 s at 20 answers per second, starting with the first one."""
     events = over([40.0] * answers_n)(clock)
     assert [type(event) for event in events] == [Standstill] * stands
 

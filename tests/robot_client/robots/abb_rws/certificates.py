@@ -1,4 +1,4 @@
-"""A certificate such as a controller of RobotWare 7 shows: made by itself, for a name that nobody calls it by."""
+"""A certificate as a controller of RobotWare 7 presents it: self-signed, for an unused name."""
 
 import shutil
 import subprocess

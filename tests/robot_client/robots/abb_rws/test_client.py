@@ -31,7 +31,7 @@ def test_a_stop_that_cannot_even_be_asked_for_is_not_confirmed_in_words(challeng
 
 
 def start_of(panel):
-    """How a start ended on a controller in this state, what was posted, and whether the program is ours to stop."""
+    """Outcome of a start on a controller in this state, the posted requests, and whether the stop is our duty."""
     state, posted = {"opmode": "AUTO", "ctrlstate": "motoron", "ctrlexecstate": "stopped"} | panel, []
 
     def answer(request):

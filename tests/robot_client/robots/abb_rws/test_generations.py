@@ -1,4 +1,4 @@
-"""Both generations of Robot Web Services, over real sockets and TLS: the controller is asked which it speaks."""
+"""Both generations of Robot Web Services, over real sockets and TLS: the controller shows which one it speaks."""
 
 import asyncio
 from pathlib import Path
@@ -40,7 +40,7 @@ def story_of(work, **options):
 
 
 async def closed(client, call):
-    """What a call of the client returns; the client is closed."""
+    """Result of a call of the client, which is closed afterwards."""
     try:
         return await call(client)
     finally:

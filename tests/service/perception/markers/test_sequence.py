@@ -1,4 +1,4 @@
-"""Marker fields as networks read them: on the sensor's lattice, whatever part of it a tracker found."""
+"""Marker fields as networks read them: on the sensor's lattice, whichever part of it a tracker found."""
 
 from dataclasses import replace
 

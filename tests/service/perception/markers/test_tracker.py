@@ -43,7 +43,7 @@ def test_displacement_is_found_to_a_few_hundredths_of_a_pixel(noise, limit_px):
 
 
 def test_a_marker_carried_into_the_border_is_followed_but_is_no_evidence():
-    """Cut by the border it seems to lie further inside; one that rests there has its place all the same."""
+    """Cut by the border it appears further inside; one that rests there is nevertheless consistent."""
     rng = np.random.default_rng(5)
     rest = grid()
     tracker = MarkerTracker()

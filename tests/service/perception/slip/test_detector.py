@@ -58,7 +58,7 @@ def test_noise_at_rest_is_hold():
 
 
 def shaken(seed):
-    """A soft object shaken to and fro: carried as one, but kneaded by up to a fifth of a pitch, anew in every frame."""
+    """A soft object shaken to and fro: carried as one, but kneaded by up to a fifth of a pitch in every frame."""
     rng = np.random.default_rng(seed)
     fields, _ = patch_fields(rigid(), frames=16)
     for k, field in enumerate(fields[1:], 1):
@@ -72,7 +72,7 @@ def shaken(seed):
 
 @pytest.mark.parametrize("fps", [25, 30, 60, 90])
 def test_a_patch_that_slides_straight_is_slip_within_three_frames_or_seventy_milliseconds(fps):
-    """Carried by 140 px a second, then left behind as one; one frame without motion alone is no slip."""
+    """Carried by 140 px per second, then left behind as one; a single frame without motion is no slip."""
     stops = round(0.15 * fps)
     for missing in (1, stops):
         fields, _ = patch_fields(
@@ -146,7 +146,7 @@ def test_onset_comes_with_the_first_motion_and_before_slip():
 
 
 def test_frame_rate_does_not_matter():
-    """The same slip seen by cameras of 25 to 90 frames a second: announced at the same moment, give or take a frame."""
+    """The same slip seen by cameras of 25 to 90 Hz: announced at the same moment, to within a frame."""
     delays_s = []
     for fps in (25, 30, 45, 60, 90):
         still, _ = patch_fields(rigid(), frames=round(fps * 0.2), seed=1)

@@ -1,4 +1,4 @@
-"""The watch that takes its reference by itself: from the grasp as it is, not from open fingers."""
+"""The watch takes its own reference: from the present grasp, not from open fingers."""
 
 import numpy as np
 

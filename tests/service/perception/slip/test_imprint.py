@@ -1,4 +1,4 @@
-"""A light object's imprint that walks over the gel is told from one that the gel carries along, and stops the arm."""
+"""An imprint moving over the gel is distinguished from one carried along by it, and stops the arm."""
 
 import itertools
 
@@ -19,7 +19,7 @@ STILL = [0.0] * 8
 
 
 def picture(rng, imprint_px, gel_px, height=1.0, noise=1.0):
-    """A gel carried sideways by ``gel_px``, and a ridge on it that is ``imprint_px`` from where it was."""
+    """A gel carried sideways by ``gel_px``, and a ridge on it, displaced by ``imprint_px``."""
     image = draw(REST + np.array([gel_px, 0.0]), rng, 320, 240, diameter=10.0, noise=noise).astype(np.float64)
     u = np.arange(320) - 150.0 - imprint_px
     ridge = 35 * height * np.exp(-np.square(u / 9.0)) * u / 9.0

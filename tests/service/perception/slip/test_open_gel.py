@@ -1,4 +1,4 @@
-"""That nothing touches the gel is seen in images alone, and is never said of an object that is held."""
+"""An untouched gel is recognised from images alone, and a held object is never called untouched."""
 
 from dataclasses import replace
 

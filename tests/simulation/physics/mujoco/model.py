@@ -24,7 +24,7 @@ SIDE_MM = 60.0
 
 @dataclass(frozen=True)
 class Effort:
-    """What buys accuracy with time in MuJoCo: time step, slow motion, hard contacts (impedance, time), small beads."""
+    """Accuracy settings of MuJoCo: time step, slow motion, hard contacts (impedance, time), small beads."""
 
     dt_ms: float
     motion_ms: float

@@ -1,4 +1,4 @@
-"""The pokes that both engines do: what varies between them, and which of a pad's two kinds of tips MuJoCo is given."""
+"""The pokes that both engines do: their variations, and which of a pad's two kinds of tips MuJoCo uses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

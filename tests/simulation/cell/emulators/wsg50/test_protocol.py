@@ -1,4 +1,4 @@
-"""Bytes, refusals, clients that come and go, and what foreign drivers ask, against the vendor's manual."""
+"""Bytes, refusals, connecting and leaving clients, and foreign drivers' requests, against the vendor's manual."""
 
 import socket
 import struct
