@@ -1,10 +1,10 @@
-"""A cell controller in one file: what docs/api.md says, done safely. It needs Python and `websockets`, nothing else.
+"""A cell controller in one file: docs/api.md, implemented safely. It needs only Python and `websockets`.
 
     insert(arm, token, Task(name="box-17", gap_width_mm=56.0, depth_mm=25.0))
 
-`Arm` is what it asks of your robot and gripper, `token` is what stands in the file that the service names when it
-starts. One rule stands above all others: the arm goes down only while the newest frame that the service has judged is
-young. On anything else it stops and stays, and `Held` says why.
+`Arm` is the interface to your robot and gripper, `token` the content of the file that the service names at its start.
+The most important rule: the arm descends only while the newest frame judged by the service is recent. In every other
+case it stops and holds, and `Held` gives the reason.
 """
 
 import contextlib
@@ -93,7 +93,7 @@ class Task:
 
 
 class Service:
-    """The connection of one insertion: what is said and heard, and the clocks of both sides."""
+    """The connection of one insertion: messages both ways, and the clocks of both sides."""
 
     def __init__(self, link: ClientConnection, name: str) -> None:
         self._link, self._name = link, name
@@ -136,7 +136,7 @@ class Service:
         return age_s
 
     def beat(self, ended: threading.Event) -> None:
-        """Heartbeats until the end: also while the arm moves and nobody listens."""
+        """Heartbeats until the end, also while the arm moves and nothing is awaited."""
         count = 0
         with contextlib.suppress(ConnectionClosed):
             while not ended.wait(HEARTBEAT_S):

@@ -12,7 +12,7 @@ LINE_EVERY_S = 10.0
 
 
 def main(pip: str, requirements: str) -> int:
-    """Install; one line that is written anew on a terminal, a line every ten seconds elsewhere."""
+    """Install; one line that is rewritten on a terminal, a line every ten seconds elsewhere."""
     with open(requirements, encoding="utf-8") as file:  # noqa: PTH123 as small as it can be
         total = sum(bool(re.match(r"[A-Za-z0-9]", line)) for line in file)
     print(f"installing {total} packages, once (pinned and hash-checked)", flush=True)
