@@ -1,4 +1,4 @@
-"""docs/commissioning.md from the rows of `python -m simulation commission`: what is missed first."""
+"""docs/commissioning.md from the rows of `python -m simulation commission`: missed targets first."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,24 +19,24 @@ RIGHTLY: Mapping[str, str] = {
     "x reversed": "x reach the arm reversed",
     "yaw reversed": "yaw reach the arm reversed",
 }
-"""Words of the right cause of each mistake."""
+"""Words that the correct cause of each mistake contains."""
 FIGURES: tuple[Any, ...] = (
     ("direction", "direction", ".0%"),
     ("MAE x mm", "mae_x_mm", ".2f"),
     ("MAE yaw deg", "mae_theta_deg", ".2f"),
-    ("90 % holds x", "covered_x", ".0%"),
-    ("90 % holds yaw", "covered_theta", ".0%"),
+    ("90 % coverage x", "covered_x", ".0%"),
+    ("90 % coverage yaw", "covered_theta", ".0%"),
     ("mean trials", "mean_trials", ".2f"),
     ("inserted", "inserted", ".0%"),
 )
 STAGES = ("released", "calibration", "gain", "all", "around")
 OF_STAGES: tuple[Any, ...] = (
-    ("- log likelihood", "likelihood", ".3f"),
+    ("negative log likelihood", "likelihood", ".3f"),
     ("direction", "accuracy", ".0%"),
     ("MAE x mm", "mae_x_mm", ".2f"),
     ("MAE yaw deg", "mae_theta_deg", ".2f"),
-    ("90 % holds x", "coverage90_x", ".0%"),
-    ("90 % holds yaw", "coverage90_theta", ".0%"),
+    ("90 % coverage x", "coverage90_x", ".0%"),
+    ("90 % coverage yaw", "coverage90_theta", ".0%"),
 )
 MOST_MINUTES, MOST_ADAPT_S, MOST_TRIALS = 40.0, 600.0, 2.6
 
@@ -48,48 +48,53 @@ def commissioning_page(data: Row) -> str:
     return page(
         "# The first day of a cell, simulated",
         _conclusion(asked, learnt),
-        data["note"],
         """
-        Every cell is drawn over what cells are ([worlds](worlds.md)), and the software is given none of it. Markers are
-        true ones with the tracker's error; shares have the 95 % Wilson interval.
+        ## How it was measured
 
-        ## Four probes name what is wired wrong
+        Every cell is drawn from the ranges of [worlds](worlds.md), and the software is given none of its properties.
+        Marker positions are the true ones plus the tracker's error. Shares have the 95 % Wilson interval. A failure
+        counts as 16 trials.
 
-        Each drawn world is asked for its signs as it is, and with each mistake of a first day, by [four
-        probes](decisions/0140-signs-are-asked-for-at-corners.md), but for those in which no object could be held.
+        ## Four probes name a wiring mistake
+
+        [Four probes](decisions/0140-signs-are-asked-for-at-corners.md) test the signs of each drawn world as it is, and
+        again with each commissioning mistake. Worlds in which no object could be held are left out.
         """,
         _signs(asked),
         """
         ## What the cell learns
 
-        The same fresh insertions are played by the release and by what `training adapt` makes of it: after 50 probes,
-        after all, or after working insertions alone whose earlier errors are known in hindsight. Where it [keeps the
-        release](decisions/0096-adapting-in-stages.md), the figures are the release's. One of its stages learns from
-        [presses simulated around the cell](decisions/0180-presses-around-a-cell.md), which then needs probes only to be
-        calibrated and judged. A failure counts as 16 trials. All worlds together:
+        The release and the networks that `training adapt` makes from it play the same fresh insertions. `training
+        adapt` runs after 50 probes, after all probes, or only with production insertions, whose earlier errors are
+        known in hindsight. Where it [keeps the release](decisions/0096-adapting-in-stages.md), the row repeats the
+        figures of the release. One of its stages learns from [presses simulated around the
+        cell](decisions/0180-presses-around-a-cell.md), which needs the probes only for calibration and acceptance. All
+        worlds together:
         """,
         _pooled(learnt),
-        "Each world, the one that gained least first:",
+        "Each world, the smallest gain in mean trials first:",
         _worlds(learnt),
         """
-        ## What each stage says of probes that it was not fitted to
+        ## Each stage on held-out probes
 
-        The likelihood is of class and error, negative and logarithmic: less is better, and the likeliest that nothing
-        speaks against is accepted. Means over the attempts of all worlds, after 50 probes; the likeliest stage first:
+        The negative log likelihood covers the direction and the error; lower is better. Of the stages without an
+        objection, the one with the lowest value is accepted. Means over the attempts of all worlds after 50 probes,
+        the best stage first:
         """,
         _stages(learnt),
-        "## What was decided, and why",
+        "## Each decision and its reasons",
         table(
             [{"world": row["world"], "after": name, **one} for row in learnt for name, one in row["verdicts"].items()],
             ("world", "world"),
             ("after", lambda one: one["after"].removeprefix("after_")),
-            ("answer", lambda one: f"accepted: {one['best']}" if one["accepted"] else "; ".join(one["objections"])),
+            ("decision", lambda one: f"accepted: {one['best']}" if one["accepted"] else "; ".join(one["objections"])),
             ("attempts", "samples_n", "d"),
-            ("gap found at x mm", lambda one: _gap(one, 0)),
+            ("gap at x mm", lambda one: _gap(one, 0)),
             ("yaw deg", lambda one: _gap(one, 1)),
-            ("took s", "took_s", ".0f"),
+            ("time s", "took_s", ".0f"),
         ),
-        "`make commissioning` plays 12 such worlds whole, the layer tier among them, and writes this page.",
+        data["note"],
+        "`make commissioning` plays 12 such worlds to the end, including the layer tier, and writes this page.",
     )
 
 
@@ -101,13 +106,13 @@ def _conclusion(asked: Sequence[Row], learnt: Sequence[Row]) -> str:
     minutes = max((row["robot_minutes"] for row in learnt), default=0.0)
     adapt_s = max((row["adapt_s"] for row in learnt), default=0.0)
     checks = (
-        (wrong == 0, f"{wrong} of {good_n} good cells were accused of a mistake; asked for: none"),
+        (wrong == 0, f"{wrong} of {good_n} good cells were accused of a mistake (target: none)"),
         (
             right == len(asked) - good_n,
-            f"{right} of {len(asked) - good_n} mistakes were named by their right cause; asked for: all",
+            f"{right} of {len(asked) - good_n} mistakes were named with the correct cause (target: all)",
         ),
-        (minutes <= MOST_MINUTES, f"{minutes:.1f} min of robot time at most; asked for: {MOST_MINUTES:.0f}"),
-        (adapt_s <= MOST_ADAPT_S, f"{adapt_s:.0f} s for adapting at most; asked for: {MOST_ADAPT_S:.0f}"),
+        (minutes <= MOST_MINUTES, f"at most {minutes:.1f} min of robot time (target: {MOST_MINUTES:.0f})"),
+        (adapt_s <= MOST_ADAPT_S, f"at most {adapt_s:.0f} s of adaptation (target: {MOST_ADAPT_S:.0f})"),
     )
     return missed_first([*checks, *(_reached(learnt) if learnt else ())])
 
@@ -122,16 +127,16 @@ def _reached(learnt: Sequence[Row]) -> list[tuple[bool, str]]:
         (
             last["direction"].value >= 0.8 or gain >= 12.0,
             (
-                f"direction is right in {last['direction']:.0%} after all probes, {first['direction']:.0%} before; "
-                "asked for: 80 % or 12 points more"
+                f"direction is right in {last['direction']:.0%} after all probes, {first['direction']:.0%} before "
+                "(target: 80 % or 12 points more)"
             ),
         ),
-        (last["mean_trials"] <= MOST_TRIALS, f"{last['mean_trials']:.2f} trials on the mean; asked for: {MOST_TRIALS}"),
+        (last["mean_trials"] <= MOST_TRIALS, f"{last['mean_trials']:.2f} mean trials (target: {MOST_TRIALS})"),
         (
             all(0.86 <= share <= 0.94 for share in holds),
-            (f"90 % intervals after 50 probes hold {in_x} of errors in x and {in_yaw} in yaw; asked for: 86 to 94 %"),
+            (f"90 % intervals after 50 probes cover {in_x} of errors in x and {in_yaw} in yaw (target: 86 to 94 %)"),
         ),
-        (lost <= 1.0, f"direction is at most {lost:.0f} points below the release's in a world; asked for: 1"),
+        (lost <= 1.0, f"direction falls up to {lost:.0f} points below the release in one world (target: 1)"),
     ]
 
 
@@ -190,10 +195,10 @@ def _signs(asked: Sequence[Row]) -> Table:
     by_mistake = {name: [row for row in asked if _mistake(row) == name] for name in ("", *MISTAKES)}
     return table(
         [(name, rows) for name, rows in by_mistake.items() if rows],
-        ("the cell is", lambda pair: pair[0] or "good"),
-        ("asked", lambda pair: len(pair[1]), "d"),
-        ("something named", lambda pair: _share(pair[1], [bool(row["mistakes_named"]) for row in pair[1]]), ".0%"),
-        ("the right cause", lambda pair: _share(pair[1], [_rightly(r) for r in pair[1]]) if pair[0] else "-", ".0%"),
+        ("cell", lambda pair: pair[0] or "good"),
+        ("worlds", lambda pair: len(pair[1]), "d"),
+        ("any mistake named", lambda pair: _share(pair[1], [bool(row["mistakes_named"]) for row in pair[1]]), ".0%"),
+        ("correct cause", lambda pair: _share(pair[1], [_rightly(r) for r in pair[1]]) if pair[0] else "-", ".0%"),
     )
 
 
@@ -206,7 +211,7 @@ def _pooled(learnt: Sequence[Row]) -> Table:
         [_together(learnt, version) for version in _versions(learnt)] if learnt else (),
         ("networks", lambda row: row["as"].replace("_", " ")),
         *FIGURES,
-        ("claimed, not true", "claimed_wrongly", ".1%"),
+        ("false claims", "claimed_wrongly", ".1%"),
     )
 
 
@@ -224,7 +229,7 @@ def _worlds(learnt: Sequence[Row]) -> Table:
         ("world", "world"),
         ("networks", lambda row: row["as"].replace("_", " ")),
         *FIGURES,
-        ("claimed, not true", "claimed_wrongly", "d"),
+        ("false claims", "claimed_wrongly", "d"),
     )
 
 

@@ -25,11 +25,12 @@ COLUMNS: tuple[Any, ...] = (
     ("direction", lambda row: wilson(row["direction_right"], row["direction_n"]), ".0%"),
     ("MAE x mm", "mae_x_mm", ".2f"),
     ("MAE yaw deg", "mae_theta_deg", ".2f"),
-    ("90 % holds x", "covered_x", ".0%"),
-    ("90 % holds yaw", "covered_theta", ".0%"),
-    ("largest force N", "worst_force_n", ".0f"),
+    ("90 % coverage x", "covered_x", ".0%"),
+    ("90 % coverage yaw", "covered_theta", ".0%"),
+    ("max force N", "worst_force_n", ".0f"),
 )
-"""Figures of a table of played insertions, besides those of claims and insertions."""
+"""Columns of a table of insertions, after those of claims and insertions."""
+_TITLES = {"release, reach told": "release, reach given", "release, reach not told": "release, reach not given"}
 _TRIES = 50
 
 
@@ -140,37 +141,42 @@ def drawn_worlds_page(data: Row) -> str:
         f"""
         # Drawn cells, simulated
 
-        Written by `make drawn-worlds`: {data["worlds"]} worlds by Latin hypercube over what cells are
-        ([worlds](worlds.md)), {data["objects"]} drawn objects: other draws of the ranges that the networks were trained
-        on. All variants
-        begin from the same starts. Markers are true ones with the tracker's error; a failure counts as 16 trials.
+        **{first["claimed_wrongly"]} of {first["insertions"]} insertions of the first variant ended in a false claim:
+        {wrong:.2%}**, with the 95 % Wilson interval. {done:.1%} were inserted.
 
-        **{first["claimed_wrongly"]} of {first["insertions"]} insertions ended in a claim that was not true:
-        {wrong:.2%}** with the 95 % Wilson interval, in the first variant. {done:.1%} were inserted.
+        ## How it was measured
+
+        {data["worlds"]} worlds are drawn by Latin hypercube from the ranges of [worlds](worlds.md), with
+        {data["objects"]} drawn objects. The networks were trained on other draws from the same ranges. All variants run
+        from the same starts. Marker positions are the true ones plus the tracker's error. A failure counts as 16
+        trials.
+
+        ## Results
         """,
-        data.get("note", ""),
         table(
             data["variants"],
-            ("variant", "variant"),
-            ("claimed, not true", "claimed_wrongly", "d"),
+            ("variant", lambda row: _TITLES.get(row["variant"], row["variant"])),
+            ("false claims", "claimed_wrongly", "d"),
             ("inserted", lambda row: wilson(row["inserted"], row["insertions"]), ".1%"),
             *COLUMNS,
             ("void", "void", "d"),
         ),
-        "## By decile of the shear reach, first variant",
+        "By decile of the shear reach, first variant:",
         table(
             data["deciles"],
             ("reach, marker pitches", lambda row: f"{row['low']:.2f} .. {row['high']:.2f}"),
-            ("claimed, not true", "claimed_wrongly", "d"),
+            ("false claims", "claimed_wrongly", "d"),
             ("inserted", lambda row: f"{row['inserted']} of {row['insertions']}"),
             *COLUMNS,
         ),
-        "## By tier of the simulated gel, first variant",
+        "By tier of the simulated gel, first variant:",
         table(
             data["tiers"],
             ("tier", "tier"),
-            ("claimed, not true", "claimed_wrongly", "d"),
+            ("false claims", "claimed_wrongly", "d"),
             ("inserted", lambda row: wilson(row["inserted"], row["insertions"]), ".1%"),
             *COLUMNS,
         ),
+        data.get("note", ""),
+        "`make drawn-worlds` repeats the test and writes this page.",
     )

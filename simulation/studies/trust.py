@@ -1,7 +1,7 @@
-"""Claims under adversity: insertions with drawn faults, worlds, objects and starts, and the page of their claims.
+"""Claims under adversity: insertions with drawn faults, worlds, objects and starts, and the page of the claims.
 
-The main count is of false claims. A claim is only as good as the ground truth against which it is checked
-(`simulation.scene.ground_truth`), so both the claims and the unclaimed insertions are counted.
+The first figure is the number of false claims. A claim is only as good as the ground truth that it is compared with
+(`simulation.scene.ground_truth`), so the page also counts the true insertions that were not claimed.
 """
 
 from collections import Counter, defaultdict
@@ -128,45 +128,53 @@ def trust_page(data: Row) -> str:
         f"""
         # What a claim is worth, simulated
 
-        Written by `make trust`: {every["insertions"]} insertions in lock step, each with its own draw of a world, an
-        object, a start and, in 55 % of them, something that goes wrong: a fault that lasts, or a mistake of a first
-        day. The service, its networks, the controller and the client's machine are the shipped ones; markers are true
-        ones with the tracker's error.
+        **{every["claimed_wrongly"]} claims were false: {wrong:.2%}** of {every["insertions"]} insertions, with the 95 %
+        Wilson interval. Its upper end is the largest rate that this many insertions leave possible.
 
-        **{every["claimed_wrongly"]} claims were not true: {wrong:.2%}** of all insertions, with the 95 % Wilson
-        interval, whose upper end is the most that so many insertions can rule out. Of {truths} insertions without a
-        fault that ended in the gap, {good["good_refused"]} were not claimed: {refused:.1%}. The arm went down by at
-        most {every["unseen_mm"]:.2f} mm, {every["unseen_share"]:.2f} of what its lease allows, after the capture of a
-        frame that was judged and before the next one; drawn arms stop within 10 to 80 ms, and the lease reckons with
-        40. Void are insertions in which the physics came to its end; they
-        are neither claimed nor refused.
+        Without a fault, {truths} insertions ended in the gap, and {good["good_refused"]} of those were not claimed:
+        {refused:.1%}.
+
+        Between the capture of a frame that was judged and the next judged frame, the arm descended by at most
+        {every["unseen_mm"]:.2f} mm, {every["unseen_share"]:.2f} of what its lease allows. The lease assumes that an arm
+        stops within 40 ms; the drawn arms take 10 to 80 ms.
         """,
-        data.get("note", ""),
         *_untrue(data["untrue"]),
-        "## By what went wrong",
+        """
+        ## How it was measured
+
+        Each insertion runs in lock step, with its own draw of a world, an object and a start. In 55 % of them something
+        goes wrong as well: a persistent fault, or a commissioning mistake such as swapped cameras. The service, its
+        networks, the controller and the client's state machine are those that ship. Marker positions are the true ones
+        plus the tracker's error. An insertion is void where the simulated physics found no solution; it counts neither
+        as claimed nor as refused.
+
+        ## By fault
+        """,
         table(
             data["faults"],
             ("fault", "fault"),
             ("insertions", "insertions", "d"),
-            ("claimed, not true", "claimed_wrongly", "d"),
+            ("false claims", "claimed_wrongly", "d"),
             ("share", lambda row: wilson(row["claimed_wrongly"], row["insertions"]), ".1%"),
-            ("claimed and true", "inserted", "d"),
+            ("true claims", "inserted", "d"),
             ("in the gap, not claimed", "good_refused", "d"),
             ("void", "void", "d"),
             ("unseen mm", "unseen_mm", ".2f"),
             ("of allowed", "unseen_share", ".2f"),
         ),
-        "## How they ended that were not claimed",
+        "## Why insertions were not claimed",
         table(data["reasons"], ("reason", "reason"), ("insertions", "insertions", "d")),
+        data.get("note", ""),
+        "`make trust` repeats the test and writes this page.",
     )
 
 
 def _untrue(rows: Sequence[Row]) -> tuple[Any, ...]:
-    """Each untrue claim, so that it can be played again; nothing where there is none."""
+    """Each false claim, so that it can be replayed; nothing where there is none."""
     if not rows:
         return ()
-    against = ("what speaks against it", lambda row: "; ".join(row["shortfalls"]) or "it has left the hand")
+    against = ("why it is false", lambda row: "; ".join(row["shortfalls"]) or "it has left the hand")
     return (
-        "## Claims that were not true",
+        "## False claims",
         table(rows, ("world and fault", "condition"), ("object", "scene"), ("seed", "seed", "d"), against),
     )

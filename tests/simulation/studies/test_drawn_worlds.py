@@ -58,4 +58,4 @@ def test_untrue_claims_come_first_and_deciles_hold_every_row(tmp_path):
     assert data["variants"][0]["covered_x"] == 1.0
     assert data["variants"][0]["covered_theta"] == 0.0
     text = drawn_worlds.drawn_worlds_page(data)
-    assert "**1 of 20 insertions ended in a claim that was not true" in text
+    assert "**1 of 20 insertions of the first variant ended in a false claim" in " ".join(text.split())

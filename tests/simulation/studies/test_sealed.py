@@ -58,7 +58,7 @@ def test_the_page_begins_with_what_is_missed_and_lists_every_failure(release):
     assert [row["reason"] for row in data["failed"]] == ["", "service: contradictory"]
     assert len(sealed.table_of(played, begun)) == 30 + 30 + 15
     text = foreign_world_page(data)
-    assert text.index("**Missed:** 1 of 30 insertions ended in a claim that was not true") < text.index("Reached")
+    assert text.index("**Missed:** 1 of 30 insertions ended in a false claim") < text.index("Reached")
     assert "claimed, but it is tilted by x deg, below 2 counts" in text
     assert "service: contradictory" in text
 

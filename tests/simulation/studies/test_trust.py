@@ -89,6 +89,6 @@ def test_false_claims_come_first_on_the_page_and_void_ones_count_as_neither():
         "fault that never came about": 1,
     }
     text = trust.trust_page(data)
-    assert "**1 claims were not true: 1.00 % (0.18 .. 5.45)**" in text
-    assert "Of 97 insertions without a fault that ended in the gap, 1 were not claimed" in text.replace("\n", " ")
+    assert "**1 claims were false: 1.00 % (0.18 .. 5.45)**" in text
+    assert "Without a fault, 97 insertions ended in the gap, and 1 of those were not claimed" in text.replace("\n", " ")
     assert "| w: stuck, left | can | 7 | it is tilted |" in text
