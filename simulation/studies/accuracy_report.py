@@ -21,16 +21,21 @@ def accuracy_page(report: Row) -> str:
     return page(
         """
         # What physics accuracy costs
-
-        Each scene is poked once, 8 mm and 5 deg off, to 1.5 mm past touchdown, where part of the contact slips. The
-        errors are those at the end of the poke. The error of the markers is the RMS of their motion since the grasp,
-        over both fingers. The first four errors are against the same tier, converged (bristle: 60 x 63 nodes a pad,
-        load step 0.01 mm; layer: 40 x 42 nodes, 0.02 mm). The last four are against the converged layer tier, so they
-        include what the bristles leave out. CPU time is the best of several runs on one core.
-
-        ![marker error over CPU time](accuracy.png)
         """,
         summary(report["costs"]),
+        """
+        ![marker error over CPU time](accuracy.png)
+
+        ## How it was measured
+
+        Each scene is probed once, with an error of 8 mm and 5 deg, to 1.5 mm past touchdown, where part of the contact
+        slips. All errors are those at the end of the probe. The marker error is the RMS over both fingers of the error
+        in the displacement since the grasp. CPU time is the best of several runs on one core.
+
+        - The first four error columns compare with the converged solution of the same tier (bristle: 60 x 63 nodes per
+          pad, load step 0.01 mm; layer: 40 x 42 nodes, 0.02 mm).
+        - The last four compare with the converged layer tier, so they include what the bristle model leaves out.
+        """,
         table(
             report["costs"],
             ("scene", "scene"),
@@ -39,12 +44,12 @@ def accuracy_page(report: Row) -> str:
             *((title, f"numerical.{key}", spec) for title, key, spec in ERRORS),
             *((f"layer: {title}", f"model.{key}", spec) for title, key, spec in ERRORS),
         ),
-        "## A whole probe, CPU ms",
+        "## CPU ms of a complete probe",
         table(times.items(), ("scene", 0), *((kind, lambda row, kind=kind: row[1][kind], ".1f") for kind in kinds)),
         f"""
-        One core. Images are camera frames of {raw.width_px} x {raw.height_px} px of both fingers, drawn and rectified.
-        A frame whose gel has not moved since the one before, as in most of a probe, is lit once, and only its noise is
-        drawn anew.
+        The times are for one core. Images are camera frames of {raw.width_px} x {raw.height_px} px of both fingers,
+        rendered and rectified. While the gel does not move, as during most of a probe, its lighting is computed once
+        and only the noise is drawn again.
 
         Made by `make accuracy`.
         """,
@@ -52,7 +57,7 @@ def accuracy_page(report: Row) -> str:
 
 
 def summary(rows: list[Row]) -> str:
-    """What the table shows, in a few sentences: the default of each tier, averaged over the scenes."""
+    """The conclusion in a few sentences: the default of each tier, averaged over the scenes."""
 
     def mean(setting: str, kind: str, name: str) -> float:
         values = [row[kind][name] for row in rows if row["setting"] == setting]
@@ -62,10 +67,10 @@ def summary(rows: list[Row]) -> str:
     markers, force, turn = (mean(DEFAULT, "model", name) for name in ("markers_um", "force_n", "turn_deg"))
     default_ms, layer_ms = (sum(row["cpu_ms"] for row in rows if row["setting"] == name) for name in (DEFAULT, LAYER))
     return (
-        f"The default solves its own model to {own:.1f} um RMS of the markers. The model itself differs from the layer "
-        f"tier by {markers:.0f} um, {force:.1f} N and {turn:.2f} deg, so finer steps and grids of bristles gain "
-        f"nothing. The layer tier costs {layer_ms / default_ms:.0f} times as much and is within {limit:.1f} um of its "
-        "own limit at the same steps and grid."
+        f"The default bristle model differs from the layer tier by {markers:.0f} um RMS of the markers, {force:.1f} N "
+        f"and {turn:.2f} deg. It solves its own equations to {own:.1f} um, so finer steps and grids of bristles gain "
+        f"nothing. At the same steps and grid, the layer tier is within {limit:.1f} um of its converged solution and "
+        f"costs {layer_ms / default_ms:.0f} times as much."
     )
 
 

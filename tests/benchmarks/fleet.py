@@ -58,19 +58,20 @@ def fleet_section(facts: dict[str, Any]) -> str:
     adapt_s = fleet["adapt_cpu_s"] * fleet["adapts_from_n"] / fleet["recordings_n"]
     night_gb = cells * fleet["adapts_from_n"] * fleet["insertion_mb"] / 1e3
     return f"""
-    ## A fleet, worked out
+    ## Estimate for a fleet
 
-    Measured: an insertion is {fleet["insertion_mb"]:g} MB (median of {fleet["recordings_n"]} simulated ones, live, JPEG
+    Measured: an insertion is {fleet["insertion_mb"]:g} MB (median of {fleet["recordings_n"]} simulated live ones, JPEG
     at 427 x 320; a second of 2 x 30 fps is {0.03 * cell["pair_kb"]:.1f} MB), and `training adapt` takes
-    {fleet["adapt_cpu_s"]:.0f} s of one core for these. Assumed: {cells} cells, {boxes:,} boxes a day each, and an
-    adaptation a night to the last {fleet["adapts_from_n"]} recordings of a cell.
+    {fleet["adapt_cpu_s"]:.0f} s of one core for these. Assumed: {cells} cells, {boxes:,} boxes per cell and day, and a
+    nightly adaptation to the last {fleet["adapts_from_n"]} recordings of each cell.
 
-    - Recordings: {cells} x {boxes:,} = {cells * boxes:,} a day.
-    - Storage of all of them: {boxes:,} x {fleet["insertion_mb"]:g} MB = {day_gb:.0f} GB a cell and day,
-      {cells * day_gb / 1e3:.1f} TB a day for the fleet. So they stay on the cell's PC, where `--recordings-max-gb` lets
-      the oldest go: 500 GB hold {500 / day_gb:.0f} days.
-    - Bandwidth, were all sent: {mbit_s:.0f} Mbit/s around the clock. What the night needs is {night_gb:.0f} GB, which
-      8 hours carry at {night_gb * 8e3 / (8 * 3600):.0f} Mbit/s; nothing at all if each cell's PC adapts itself.
-    - Adaptation: {fleet["adapts_from_n"]} / {fleet["recordings_n"]} x {fleet["adapt_cpu_s"]:.0f} s = {adapt_s:.0f} s a
-      cell if it grows with the recordings, {cells * adapt_s / 3600:.1f} hours of one core for all.
+    - **Recordings:** {cells} x {boxes:,} = {cells * boxes:,} per day.
+    - **Storage:** {boxes:,} x {fleet["insertion_mb"]:g} MB = {day_gb:.0f} GB per cell and day,
+      {cells * day_gb / 1e3:.1f} TB per day for the fleet. Recordings therefore stay on the PC of the cell, where
+      `--recordings-max-gb` deletes the oldest: 500 GB hold {500 / day_gb:.0f} days.
+    - **Bandwidth:** sending everything takes {mbit_s:.0f} Mbit/s around the clock. The nightly adaptation needs
+      {night_gb:.0f} GB, or {night_gb * 8e3 / (8 * 3600):.0f} Mbit/s over 8 hours, and nothing if the PC of each cell
+      adapts its own networks.
+    - **Adaptation:** {fleet["adapts_from_n"]} / {fleet["recordings_n"]} x {fleet["adapt_cpu_s"]:.0f} s = {adapt_s:.0f}
+      s per cell, if it grows with the recordings; {cells * adapt_s / 3600:.1f} hours of one core for the fleet.
     """

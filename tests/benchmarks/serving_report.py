@@ -30,23 +30,24 @@ def serving_page(facts: dict[str, Any]) -> str:
         f"""
         # What serving costs
 
-        Measured on {machine["cpu"]}, {machine["cores"]} cores, by `make bench-serving`. The machine was shared with
-        other work. The load of each row is the average number of runnable processes while it was measured, so times
-        are long, and ratios are between calls made in turn.
+        **Missed here:** {"; ".join(missed) or "nothing"}.
+
+        Measured by `make bench-serving` on {machine["cpu"]}, {machine["cores"]} cores. Other work shared the machine,
+        so latencies are long. The load of a row is the average number of runnable processes during its measurement.
+        Ratios compare alternating calls.
         """,
         table(
             rows,
             ("quantity", "quantity"),
             ("measured", "measured"),
-            ("at least", "target"),
-            ("reached", lambda row: REACHED[row.reached]),
+            ("target", "target"),
+            ("met", lambda row: REACHED[row.reached]),
             ("load", "load", ".1f"),
         ),
-        f"**Missed here:** {'; '.join(missed) or 'nothing'}.",
         f"**Not measured:** {'; '.join(unmeasured)}." if unmeasured else "",
-        fleet_section(facts),
         NOTES,
         "\n".join(f"- {name}: {facts[name]['note']}" for name in ROWS if "note" in facts.get(name, {})),
+        fleet_section(facts),
     )
 
 
@@ -71,7 +72,7 @@ def _peers(figures: dict[str, Any]) -> list[Row]:
     for peer, label, limit in (("mlserver", "MLServer gRPC", 0.5), ("litserve", "LitServe", 0.35)):
         theirs, share = figures["servers"][peer], figures[f"ratio to {peer}"]
         model, megabytes = figures.get("model", "direction.step.onnx"), figures["payload_bytes"] / 1e6
-        what = f"binary inference p50, `{model}`, {megabytes:.2f} MB a call, service / {label}"
+        what = f"binary inference p50, `{model}`, {megabytes:.2f} MB per call, service / {label}"
         what += f" {figures['versions'][peer]}"
         rows.append(Row(what, f"{both(ours, theirs)} = {share:.2f}", f"{limit}", share <= limit))
     inside = figures["servers"]["in process"]
@@ -83,37 +84,43 @@ def _websocket(figures: dict[str, Any]) -> list[Row]:
     over, within = figures["websocket"], figures["in_process"]
     text = f"{both(over, within)} = {figures['ratio_p50']:.2f}; fastest tenth {figures['ratio_fastest_tenth']:.2f}"
     return [
-        Row("last frame pair to correction p50, WebSocket / in process", text, "1.25", figures["ratio_p50"] <= 1.25)
+        Row(
+            "p50 from the last frame pair to the correction, WebSocket / in process",
+            text,
+            "1.25",
+            figures["ratio_p50"] <= 1.25,
+        )
     ]
 
 
 def _first(figures: dict[str, Any]) -> list[Row]:
     if figures["median"] is None:
-        return [Row("first decision after ready / steady", "no start gave four decisions", "1.1", None)]
+        return [Row("first decision after the start / steady state", "no start gave four decisions", "1.1", None)]
     text = f"{figures['median']:.2f} (median of {len(figures['ratios'])} starts: {figures['ratios']})"
-    return [Row("first decision after ready / steady", text, "1.1", figures["median"] <= 1.1)]
+    return [Row("first decision after the start / steady state", text, "1.1", figures["median"] <= 1.1)]
 
 
 def _cameras(figures: dict[str, Any]) -> list[Row]:
-    text = f"{figures['cores_at_full_rate']:.2f} cores ({figures['cpu_ms_per_frame']:.2f} ms CPU a frame perceived;"
-    text += f" {figures['camera_frames_per_s']:.0f} frames/s came, {figures['dropped_share']:.1%} dropped)"
-    what = f"2 x {figures['asked_hz']:.0f} fps at 427 x 320, perceived and recorded: CPU of the whole service"
+    text = f"{figures['cores_at_full_rate']:.2f} cores ({figures['cpu_ms_per_frame']:.2f} ms CPU per processed frame;"
+    text += f" {figures['camera_frames_per_s']:.0f} frames/s received, {figures['dropped_share']:.1%} dropped)"
+    what = f"2 x {figures['asked_hz']:.0f} fps at 427 x 320, processed and recorded: CPU of the whole service"
     return [Row(what, text, "1 core", figures["cores_at_full_rate"] <= 1.0)]
 
 
 def _health(figures: dict[str, Any]) -> list[Row]:
-    text = f"p50 {figures['p50_ms']:.1f}, p99 {figures['p99_ms']:.1f}, most {figures['most_ms']:.0f} ms; an idle server"
-    text += f" asked in turn: p99 {figures['idle_server_p99_ms']:.1f}, most {figures['idle_server_most_ms']:.0f} ms"
+    text = f"p50 {figures['p50_ms']:.1f}, p99 {figures['p99_ms']:.1f}, max {figures['most_ms']:.0f} ms; an idle server"
+    text += f" in alternation: p99 {figures['idle_server_p99_ms']:.1f}, max {figures['idle_server_most_ms']:.0f} ms"
     return [Row("/healthz under full load", text, "50 ms (p99)", figures["p99_ms"] <= 50)]
 
 
 def _overload(figures: dict[str, Any]) -> list[Row]:
     text = f"p50 {figures['age_p50_ms']:.1f}, p99 {figures['age_p99_ms']:.1f} ms against"
     text += f" p50 {figures['one_frame_and_one_step_ms']:.1f}, p99 {figures['one_frame_and_one_step_p99_ms']:.1f};"
-    text += f" {figures['times_overloaded']:.1f} x overloaded, within in {figures['share_within']:.1%}"
+    text += f" {figures['times_overloaded']:.1f} x overload, {figures['share_within']:.1%} within the limit"
     if figures.get("share_within_of_calm") is not None:
-        text += f"; of the {figures['share_calm']:.0%} that the kernel did not make wait,"
-        text += f" in {figures['share_within_of_calm']:.1%}"
+        text += (
+            f"; {figures['share_within_of_calm']:.1%} of the {figures['share_calm']:.0%} that did not wait for a core"
+        )
     return [
         Row("age of results at 2 x overload: 1 frame + 1 step", text, "99 % within", figures["share_within"] >= 0.99)
     ]
@@ -121,12 +128,10 @@ def _overload(figures: dict[str, Any]) -> list[Row]:
 
 def _cells(figures: dict[str, Any]) -> list[Row]:
     count, share = figures["cells_n"], figures["share_within_33_ms"]
-    text = f"{figures['cores_a_cell']:.2f} cores and {figures['memory_mb_a_cell']:.0f} MB a cell;"
-    text += f" {figures['perceived_share']:.0%} of the frames perceived, slip judged within 33 ms in {share:.1%}"
-    what = (
-        f"{count} cell{'s' if count > 1 else ''} at once, each 2 x {figures['asked_hz']:.0f} fps, an attempt under way"
-    )
-    return [Row(what, text, "99 % within", share >= 0.99)]
+    text = f"{share:.1%}; {figures['cores_a_cell']:.2f} cores and {figures['memory_mb_a_cell']:.0f} MB per cell,"
+    text += f" {figures['perceived_share']:.0%} of the frames processed"
+    cells = f"{count} cell{'s' if count > 1 else ''} at 2 x {figures['asked_hz']:.0f} fps"
+    return [Row(f"{cells}, attempt in progress: slip decided within 33 ms", text, "99 %", share >= 0.99)]
 
 
 ROWS = {
@@ -141,18 +146,20 @@ ROWS = {
 }
 
 
-NOTES = """How it was measured:
+NOTES = """## How it was measured
 
-- Inference: one closed loop of one client, ten calls to each server in turn, one thread a session everywhere. The
-  service is asked by `tritonclient[http]` with binary tensors,
-  MLServer by `tritonclient[grpc]` with raw tensors and without parallel workers, LitServe with base64 in JSON.
-- Decision: two MJPEG cameras; from the moment the eighth pair of a stopped attempt begins to leave its cameras to the
-  correction in the client's hand, against the same JPEGs through the same session in one thread, in turn.
-- First decision: of a fresh process, against the median of the next five of the same process.
-- Full load: 2 x 60 fps, an attempt under way, inference in a closed loop, three viewers.
-- Overload: the station is first given more frames than it can perceive, which tells the rate it can; then twice that
-  rate. Age is counted from capture to the slip decision, a step is what perceiving the two frames of a pair took just
-  then. Of the calm results the kernel let the perceiving thread wait for a core for at most 0.2 ms of their life.
-- Cells: as many services as stated, each with two cameras and an attempt under way, all on this machine, the cameras'
-  programs too. What the load of a row has beyond the cells is other work.
-- CPU is the process's own time from the kernel: it does not grow with what others use, though caches do suffer."""
+- Inference: one client in a closed loop, ten calls to each server in turn, one thread per session everywhere.
+  `tritonclient[http]` calls the service with binary tensors. `tritonclient[grpc]` calls MLServer with raw tensors and
+  without parallel workers. LitServe receives base64 in JSON.
+- Decision: two MJPEG cameras. The time runs from the moment the eighth pair of a stopped attempt begins to leave its
+  cameras until the client has the correction. The baseline passes the same JPEGs through the same session in one
+  thread, in alternation.
+- First decision of a fresh process, relative to the median of its next five.
+- Full load: 2 x 60 fps, an attempt in progress, inference in a closed loop, three viewers.
+- Overload: the station first receives more frames than it can process, which gives its capacity, then twice that rate.
+  Age runs from capture to the slip decision. A step is the time that processing the two frames of that pair took.
+  Results that did not wait for a core are those whose thread the kernel delayed by at most 0.2 ms.
+- Cells: the stated number of services, each with two cameras and an attempt in progress, all on this machine together
+  with the camera programs. Any load of a row beyond that of the cells is other work.
+- CPU is the process's own time as the kernel counts it. It does not grow with the load of others, although caches do
+  suffer."""

@@ -120,21 +120,24 @@ def mutants_page(report: dict) -> str:
     opening = f"""
         # Mutants
 
-        Written by `make mutants`: {report["count"]} random small changes (seed {report["seed"]}) of the modules that
-        decide, claim, detect slip and move, each against the fast tests of its own room alone. Killed:
-        {report["killed"]} of {report["count"]}, {wilson(report["killed"], report["count"]):.1%} with the 95 %
-        interval of Wilson.
+        {report["killed"]} of {report["count"]} mutants were killed, {wilson(report["killed"], report["count"]):.1%}
+        with the 95 % Wilson interval.
 
-        A change takes the opposite comparison, the inverse operator, another truth value, the next whole number, or
-        one and a half times a constant and a little more. `<` becomes `<=` only between whole numbers: a measured
-        quantity never equals its limit, so there both are the same program. The figure counts because the tests were
-        written before the seed was drawn; what its survivors taught came after.
+        `make mutants` makes {report["count"]} random small changes (seed {report["seed"]}) to the modules that
+        decide, claim, detect slip and move. Each mutant runs against the fast tests of its own room only. The
+        tests were written before the seed was drawn, so the figure is a fair sample; tests that the survivors
+        suggested came later.
+
+        A mutation replaces a comparison by its opposite, an operator by its inverse, a truth value by the
+        other, a whole number by the next one, or a constant by slightly more than one and a half times its
+        value. `<` becomes `<=` only between whole numbers: a measured quantity never equals its limit, so
+        elsewhere both are the same program.
         """
     rooms = table(report["rooms"], ("room", "room"), ("changes", "count", "d"), ("killed", "killed", "d"))
     change = ("change", lambda row: f"`{row['before']}` -> `{row['after']}`")
     place = ("where", lambda row: f"`{row['module']}:{row['line']}`")
-    survivors = table(report["survivors"], place, change, ("what it shows", "judged"))
-    return page(opening, rooms, "## What survives", survivors)
+    survivors = table(report["survivors"], place, change, ("assessment", "judged"))
+    return page(opening, rooms, "## Survivors", survivors)
 
 
 def by_room(chosen: list[Mutant], survivors: list[Mutant]) -> list[dict]:

@@ -142,21 +142,22 @@ PEERS = (
 BEFORE = """
 # Peers
 
-Foreign software that meets this one, unmodified, over real sockets and files, on the machine where `make peers` last
-ran. `peers.json` keeps the same. Robot and gripper are emulated: no peer has met a device here.
+Foreign software that runs against this project unmodified, over real sockets and files, on the machine where `make
+peers` last ran. `peers.json` has the same rows. Robot and gripper are emulated: no peer was tested on a device.
 """
 AFTER = """
-What is known not to work, and why:
+Known limitations:
 
-- `abb-robot-client` 0.4.0: `request_rmmp` and `poll_rmmp` join the controller's address to an address that is whole
-  already, on any controller. Its asyncio client `rws_aio` is no Python: a colon is missing in the released file.
-- The service has one HTTP parser, h11: `httptools` is gone, and `schemathesis` has one to try.
-- `foxglove-sdk` writes recordings and reads none; its encoder is compared instead.
-- `lerobot` brings a CUDA build of torch, 8 GB in all: `make peers LEROBOT=1` installs it. Without, its row stays.
+- `abb-robot-client` 0.4.0: `request_rmmp` and `poll_rmmp` prepend the address of the controller to a complete URL, on
+  any controller. Its asyncio client `rws_aio` is not valid Python: the released file lacks a colon.
+- `schemathesis` tests one HTTP parser, h11. The service does not use `httptools`.
+- `foxglove-sdk` writes recordings but reads none. Its encoder is compared instead.
+- `lerobot` brings a CUDA build of torch, 8 GB in all. `make peers LEROBOT=1` installs it; otherwise its row stays as it
+  is.
 
-Tried by hand, because it is in no package: the demo of
-[drake-schunk-driver](https://github.com/RobotLocomotion/drake-schunk-driver) in C++, unmodified but for the address,
-homes, moves and grasps with the emulated WSG-50 over UDP.
+Tested by hand, because no package has it: the C++ demo of
+[drake-schunk-driver](https://github.com/RobotLocomotion/drake-schunk-driver), unmodified except for the address, homes,
+moves and grasps with the emulated WSG-50 over UDP.
 """
 
 

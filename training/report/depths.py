@@ -1,4 +1,4 @@
-"""What a network that reads depth gains from pressing further, where its intervals hold, and what it finds strange."""
+"""What a network that reads depth gains from pressing further, the coverage of its intervals, and faulty inputs."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from reporting.page import page, publish
-from reporting.statistics import wilson
+from reporting.statistics import number, wilson
 from reporting.table import Table, table
 from service.contract import ContractError
 from training.config import RunConfig
@@ -199,38 +199,44 @@ SHIFTS: dict[str, Callable[[Tensor], Tensor]] = {
 
 
 def _parts(checkpoint: Checkpoint, data: dict[str, Rows]) -> Iterator[str | Table]:
+    depth = f"{DECISION_STEPS * STEP_MM:.1f} mm"
+    right = [(split, data["depths"].get(f"{split}, {depth}")) for split in HELD]
+    shares = " and ".join(f"{number(row['accuracy'], '.1%')} on `{split}`" for split, row in right if row)
     yield f"""
-        # What pressing further tells
+        # What pressing further reveals
+
+        After {depth} of pressing, the network has the direction right in {shares}.
 
         Written by `python -m training depths`. Network `{checkpoint.name}`, data
-        `{checkpoint.training_data_sha256[:12]}`, commit `{checkpoint.git_commit[:12]}`; all figures are of the
-        simulator. Each decision was seen through a camera of another rate, with the tracker's error, and was given gap
-        width, grasp height, grip and shear reach as a cell states them. `test` holds cells of other draws than
-        training. Intervals are 95 % Wilson.
+        `{checkpoint.training_data_sha256[:12]}`, commit `{checkpoint.git_commit[:12]}`; all figures are simulated. Each
+        decision uses a camera of another rate, the tracker's error, and gap width, grasp height, grip and shear reach
+        as a cell states them. `test` holds cells from other draws than those of the training. Intervals are 95 %
+        Wilson intervals.
         """
     yield _table(data["depths"])
     yield """
-        ## Deciding as soon as it is sure
+        ## Deciding early
 
-        The same decisions, made at the first step after which the likeliest direction has the probability in the first
-        column. *Saved*: the share of the pressing. A cell presses on, however sure its networks are.
+        The same decisions, made at the first step at which the likeliest direction reaches the probability in the first
+        column. *Saved* is the share of the pressing that this avoids. A real cell always presses to the full depth.
         """
     yield _table(data["sure"], ("saved", "1.saved", ".1%"), first="sure")
     yield """
-        ## The limit
+        ## Upper bound
 
-        What a network of the same size decides after 1.2 mm that is given the object's true motion in the hand, and all
-        conditions exactly. A perfect reader of the gel knows no more. Many errors press an object alike.
+        A network of the same size receives the true motion of the object in the hand and the exact conditions, and
+        decides after 1.2 mm. A perfect reading of the gel could not know more. The bound is low because many errors
+        move an object alike.
         """
     yield _table(data["limit"])
     if data["reach"]:
         yield "## By shear reach, held-out decisions"
         yield _table(data["reach"])
     yield """
-        ## What is found strange
+        ## Detection of faulty inputs
 
-        AUROC of strangeness on validation decisions against the same decisions with one thing wrong. Two swapped
-        fingers look like another error that an object can have: no single decision tells them.
+        AUROC of the strangeness score between validation decisions and the same decisions with one fault. Swapped
+        fingers look like another valid error of the object, so no single decision reveals them.
         """
     yield table(data["strange"].items(), ("shift", 0), ("AUROC", "1.auroc", ".3f"))
 
@@ -238,12 +244,12 @@ def _parts(checkpoint: Checkpoint, data: dict[str, Rows]) -> Iterator[str | Tabl
 def _table(rows: Rows, *more: tuple[str, str, str], first: str = "pressed") -> Table:
     return table(
         rows.items(),
-        (first, 0),
+        (first, lambda row: row[0].replace("nothing told", "no conditions given")),
         *more,
         ("decisions", "1.trials", ".0f"),
         ("direction", lambda row: wilson(row[1]["accuracy"] * row[1]["trials"], int(row[1]["trials"])), ".1%"),
         ("MAE x mm", "1.mae_x_mm", ".2f"),
         ("MAE yaw deg", "1.mae_theta_deg", ".2f"),
-        ("90 % covers x", "1.coverage90_x", ".1%"),
-        ("covers yaw", "1.coverage90_theta", ".1%"),
+        ("90 % coverage x", "1.coverage90_x", ".1%"),
+        ("90 % coverage yaw", "1.coverage90_theta", ".1%"),
     )

@@ -1,4 +1,4 @@
-"""docs/identify.md from identify.json: what probes tell of a gel, what is missed first."""
+"""docs/identify.md from identify.json: what probes reveal about a gel, missed targets first."""
 
 from collections.abc import Sequence
 
@@ -18,8 +18,8 @@ NAMES = {
     "poisson_ratio": "Poisson's ratio",
     "margin_x_mm": "margin x",
     "margin_z_mm": "margin z",
-    "relaxation_share": "share that relaxes",
-    "relaxation_s": "time of relaxation",
+    "relaxation_share": "relaxation share",
+    "relaxation_s": "relaxation time",
     "shear_reach_mm": "shear reach",
 }
 
@@ -29,30 +29,33 @@ def identify_page(data: Row) -> str:
     own = [row for row in scored if row["tier"] == "bristle"]
     other = [row for row in scored if row["tier"] != "bristle"]
     return page(
-        "# What a cell's probes tell of its gel, simulated",
+        "# What a cell's probes reveal about its gel, simulated",
         _conclusion(own, other),
-        data["note"],
         """
-        `scene identify` reads the recordings of a commissioning: the four probes that ask for signs, and two presses
-        until slip at each of two grips ([why so](decisions/0175-what-a-press-tells.md)). It writes a [world
-        file](worlds.md) with an estimate of each parameter and its 90 % interval. The gel of every cell below was
-        drawn, and the software was not given it. Width is that of the interval, over what nine of ten drawn cells span:
-        at 100 % nothing is known that was not known before.
+        ## How it was measured
+
+        `scene identify` reads the recordings of a commissioning: the four probes that test the signs, and two presses
+        until slip at each of two grip forces ([why](decisions/0175-what-a-press-tells.md)). It writes a [world
+        file](worlds.md) with an estimate and a 90 % interval of each parameter. The gel of every cell below was drawn
+        and not given to the software. The width of an interval is relative to the range of nine of ten drawn cells:
+        100 % means that the probes add nothing.
+
+        Cells of the bristle tier, the coverage furthest from 90 % first:
         """,
-        "Cells of the bristle tier; the coverage furthest from 90 % first:",
         table(sorted(_rows(own), key=lambda row: -abs(row["holds"].value - 0.9)), *_COLUMNS),
         *_others(other),
         _refused(data["rows"]),
+        data["note"],
         "`make identify` plays the cells again and writes this page.",
     )
 
 
 _COLUMNS = (
     ("parameter", "parameter"),
-    ("90 % interval holds", "holds", ".0%"),
-    ("width", "width", ".0%"),
-    ("widest", "widest", ".0%"),
-    ("cells that learn of it", "known", ".0%"),
+    ("90 % coverage", "holds", ".0%"),
+    ("median width", "width", ".0%"),
+    ("max width", "widest", ".0%"),
+    ("cells that learn it", "known", ".0%"),
 )
 
 
@@ -79,7 +82,7 @@ def _others(other: Sequence[Row]) -> Sequence[str | Table]:
     if not other:
         return ()
     return (
-        f"{len(other)} cells of the layer tier:",
+        f"{len(other)} cells of the layer tier, sorted likewise:",
         table(sorted(_rows(other), key=lambda row: -abs(row["holds"].value - 0.9)), *_COLUMNS),
     )
 
@@ -87,14 +90,14 @@ def _others(other: Sequence[Row]) -> Sequence[str | Table]:
 def _conclusion(own: Sequence[Row], other: Sequence[Row]) -> str:
     rows = _rows(own)
     missed = [row for row in rows if not ASKED[0] <= row["holds"].value <= ASKED[1]]
-    asked = f"asked for: {100 * ASKED[0]:.0f} to {100 * ASKED[1]:.0f} %"
-    lines = [f"90 % intervals of {row['parameter']} hold {row['holds']:.0%} of the truths" for row in missed]
+    asked = f"target: {100 * ASKED[0]:.0f} to {100 * ASKED[1]:.0f} %"
+    lines = [f"{row['parameter']} {row['holds']:.0%}" for row in missed]
     if other and not ASKED[0] <= _together(other).value <= ASKED[1]:
-        lines.insert(0, f"in the layer tier all intervals together hold {_together(other):.0%}, not 90")
-    first = f"**Missed:** {'; '.join(lines)}; {asked}.\n\n" if lines else ""
+        lines.insert(0, f"all parameters together in the layer tier {_together(other):.0%}")
+    first = f"**Missed** coverage of the 90 % intervals ({asked}): {'; '.join(lines)}.\n\n" if lines else ""
     return (
-        f"{first}Reached: {len(rows) - len(missed)} of {len(rows)} parameters, in {len(own)} drawn cells of the bristle"
-        f" tier; {asked}. All together their intervals hold {_together(own):.1%} of the truths."
+        f"{first}Reached: {len(rows) - len(missed)} of {len(rows)} parameters in {len(own)} drawn cells of the bristle "
+        f"tier. The intervals of all parameters together cover {_together(own):.1%} of the true values."
     )
 
 

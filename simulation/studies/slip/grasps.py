@@ -1,4 +1,4 @@
-"""Recorded grasps of real objects: the results of `service judge` against labels set by eye.
+"""Recorded grasps of real objects: the output of `service judge`, compared with labels set by eye.
 
 The rows come from `python -m service judge`, the labels from a JSON file that states how they were set and how each can
 be checked. Runs are counted, not frames; a run whose label names no loss can only be called lost falsely.
@@ -14,8 +14,8 @@ from reporting.table import table
 from simulation.studies.slip import witness
 
 Row = Mapping[str, Any]
-NEAR_N = 3  # frames within which a loss has to be reported
-AHEAD_N = 5  # frames by which a slide has to be reported before the loss
+NEAR_N = 3  # frames within which a loss has to be detected
+AHEAD_N = 5  # frames before the loss by which a slide has to be detected
 
 
 def figures(rows: Sequence[Row], labels: Row, evidence: Row) -> dict[str, Any]:
@@ -77,7 +77,7 @@ def _warned(frame: int | None, slip: Row) -> bool:
 
 
 def _by_markers(row: Row) -> int | None:
-    """The first frame in which the markers of any finger showed slip, None if they never did."""
+    """The first frame in which the markers of any finger detected slip, None if they never did."""
     frames = [finger["slip_frame"] for finger in row["fingers"].values() if finger["slip_frame"] is not None]
     return min(frames, default=None)
 
@@ -94,17 +94,15 @@ def _beside(slip: Row) -> dict[str, Any]:
 
 
 def grasps_page(data: Row) -> str:
-    """The page: worst figure first, then run by run."""
+    """The page: the questions with their targets, the method, then run by run."""
     left_out = data["witness"]
     return page(
-        """
+        f"""
         # Real grasps
 
-        Written by `python -m simulation grasps`. Two GelSight Mini fingers grasp, lift and shake an object, which is
-        held or leaves the hand: 113 recordings of 23 objects, not in the repository. They were judged by
-        `python -m service judge`, whose tracker, open gel, phases and slide witness are those of the live service. The
-        labels were set by eye before anything was fitted, and say how each can be checked
-        (`tests/service/tools/real_slips.json`). Intervals are Wilson's, 95 %.
+        {_of(left_out["witness_warned"])} visible slides were detected at least {AHEAD_N} frames before the loss. The
+        target is 60 %. {_of(data["lost_of_held"])} held runs were reported as lost,
+        {_of(data["lost_of_held_to_the_end"])} of those whose gels stay in contact.
         """,
         table(
             [
@@ -115,67 +113,91 @@ def grasps_page(data: Row) -> str:
             ("question", 0),
             ("runs", lambda row: f"{row[1]['hits']} of {row[1]['runs']}"),
             ("share", lambda row: row[1]["share"], ".0%"),
-            ("wanted", 2),
+            ("target", 2),
         ),
+        """
+        ## How it was measured
+
+        Two GelSight Mini fingers grasp, lift and shake an object, which either stays in the hand or leaves it: 113
+        recordings of 23 objects, not in the repository. `python -m service judge` evaluated them with the tracker, open
+        gel, phases and slide witness of the live service. The labels were set by eye before anything was fitted, and
+        state how each can be checked (`tests/service/tools/real_slips.json`). Intervals are 95 % Wilson intervals.
+        """,
         _notes(data, left_out),
-        "## Run by run\n\nFrames; labels first, then what the shipped detector told, which has seen these objects.",
+        """
+        ## Run by run
+
+        Frame numbers: first the labels, then the output of the shipped detector, which was fitted to these objects.
+        """,
         table(
             data["runs"],
             ("run", "run"),
             *((title, lambda row, key=key: _frame(row[key])) for title, key in _COLUMNS),
         ),
+        "`python -m simulation grasps` writes this page.",
     )
 
 
 def _notes(data: Row, left_out: Row) -> str:
     return f"""
-        A session stops the arm for the markers' slip and for the slide witness' (off with `TACTILE_IMPRINT_SLIP=0`).
-        The evidence of the witness in the last 2 s before a loss is larger than in 2 s of a held run with a chance of
-        {left_out["auc"]:.2f}. It alarms in
-        {left_out["false_frames_per_1000"]:.2f} of 1,000 held frames, and told {left_out["early"]} of the slides
-        before they were seen to begin. Frames whose grid jumped by what may be a pitch, none of them evidence:
-        {data["ambiguous"]}. Median run: {data["ms_a_frame"]:.1f} ms CPU a finger and frame, all in.
-
-        - **What is out of sample.** Where an object is said to be left out, the witness and its limit were fitted
-          without any run of it; the limit is the one that lets {witness.FALSE_RUNS} held runs of the others alarm, and
-          too far is {witness.FURTHER:g} times as far as any held run of the others walked. What it reads was chosen
-          with all runs in sight, and so were the limits of the open gel. An alarm counts as in a row of
+        - **Held-out objects.** For the rows with held-out objects, the witness and its limit were fitted without any
+          run of the object. The limit is the one at which {witness.FALSE_RUNS} held runs of the other objects alarm.
+          "Too far" means {witness.FURTHER:g} times the longest travel in any held run of the others. The inputs of the
+          witness and the limits of the open gel were chosen with all runs in view. An alarm counts as in a row of
           `service judge`, while the grasp is held.
-        - **Told too late by its label.** {left_out["untellable"]} of the slides begin less than {AHEAD_N} frames
-          before the loss, or with the recording itself: nobody could tell them.
-        - **Two kinds of recordings.** {_kind(left_out, "short")} of the runs that were cut to the grasp, and
-          {_kind(left_out, "long")} of those of 450 frames, which mostly begin in a grip. The witness asks how
-          strong the grip is, and that differs between the two kinds: compare within a kind.
-        - **Loss and release look alike.** In {data["emptied"]} runs called held both gels are empty at the end, because
-          the object was put down or let go. Without the gripper's state that is a loss, and often a slide right
-          before. A live session knows whether it asked for a release. No run whose object stays is to be called lost.
-        - **An open gel is not always recorded.** In {data["without_open_frame"]} held runs no frame shows one, and the
-          object counts as held throughout. A live session learns its gels before each grasp.
-        - **Many held objects slide, too**: tubes and screwdrivers turn in the hand. Their alarms count as false here.
-          Alarmed with their object left out: {", ".join(left_out["false_runs"]) or "none"}.
-        - The length of a recording is no evidence: nothing is compared between runs, and no phase looks ahead.
+        - **Evidence.** The witness has more evidence in the last 2 s before a loss than in 2 s of a held run with a
+          probability of {left_out["auc"]:.2f}. It alarms in {left_out["false_frames_per_1000"]:.2f} of 1,000 held
+          frames, and detected {left_out["early"]} of the slides before their labelled start.
+        - **Jumps of the grid.** {data["ambiguous"]} frames moved by about one marker pitch; they are ambiguous and do
+          not count as evidence.
+        - **Cost.** The median run takes {data["ms_a_frame"]:.1f} ms of CPU per finger and frame in total.
+
+        ## What it means and what is left
+
+        A session stops the arm on slip detected by the markers or by the slide witness (`TACTILE_IMPRINT_SLIP=0`
+        switches the witness off).
+
+        - **Impossible by its label.** {left_out["untellable"]} of the slides begin less than {AHEAD_N} frames before
+          the loss, or with the recording itself. No detector could have warned in time.
+        - **Two kinds of recordings.** {_kind(left_out, "short")} in the runs that were cut to the grasp;
+          {_kind(left_out, "long")} in those of 450 frames, most of which begin in a grip. The witness uses the strength
+          of the grip, which differs between the two kinds, so compare within one kind only.
+        - **Loss and release look alike.** In {data["emptied"]} runs labelled as held, both gels are empty at the end,
+          because the object was put down or let go. Without the state of the gripper that counts as a loss, and often
+          as a slide right before. A live session knows whether it commanded a release. No run whose object stays may be
+          reported as lost.
+        - **An open gel is not always recorded.** {data["without_open_frame"]} held runs contain no frame of one, and
+          the object counts as held throughout. A live session learns its gels before each grasp.
+        - **Many held objects slide, too:** tubes and screwdrivers turn in the hand. Their alarms count as false here.
+          Alarms with the object held out: {", ".join(left_out["false_runs"]) or "none"}.
+        - **No look-ahead.** The length of a recording is not evidence: nothing is compared between runs, and no phase
+          uses later frames.
         """
 
 
 def _kind(left_out: Row, kind: str) -> str:
     slides, holds = left_out[kind]
-    return f"{slides['hits']} of {slides['runs']} slides are told and {holds['hits']} of {holds['runs']} holds alarm"
+    return f"{_of(slides)} slides are detected and {_of(holds)} held runs alarm"
+
+
+def _of(counted: Row) -> str:
+    return f"{counted['hits']} of {counted['runs']}"
 
 
 _QUESTIONS = (
-    ("a visible slide is told 5 frames before the loss, or more, its object left out", "witness_warned", "60 %"),
-    ("the same, by the markers alone", "warned_by_markers", ""),
-    ("held runs with a slip alarm before they are let go, their object left out", "witness_false", "3 of 66"),
-    ("the same, with those that are being put down or let go", "witness_false_anywhere", "3 of 66"),
-    ("the same, by the shipped witness, which has seen all objects", "slip_of_held", "3 of 66"),
-    ("the same, by the markers alone", "slip_of_held_by_markers", ""),
-    ("held runs called lost, with those put down or let go", "lost_of_held", "1 of 66"),
-    ("held runs called lost whose gels are touched to the end", "lost_of_held_to_the_end", "1 of 66"),
-    ("a loss is told within 3 frames", "lost", "90 %"),
+    ("visible slide detected at least 5 frames before the loss, object held out", "witness_warned", "60 %"),
+    ("the same, markers only", "warned_by_markers", ""),
+    ("held run with a slip alarm before the release, object held out", "witness_false", "3 of 66"),
+    ("the same, including putting down and letting go", "witness_false_anywhere", "3 of 66"),
+    ("the same, shipped witness, fitted to all objects", "slip_of_held", "3 of 66"),
+    ("the same, markers only", "slip_of_held_by_markers", ""),
+    ("held run reported as lost, including putting down and letting go", "lost_of_held", "1 of 66"),
+    ("held run reported as lost although the gels are touched to the end", "lost_of_held_to_the_end", "1 of 66"),
+    ("loss detected within 3 frames", "lost", "90 %"),
 )
 _COLUMNS = (
-    ("slides from", "slide"),
-    ("gone at", "lost"),
+    ("label: slide", "slide"),
+    ("label: loss", "lost"),
     ("contact", "contact"),
     ("hold", "hold"),
     ("slip", "slip"),

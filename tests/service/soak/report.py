@@ -62,15 +62,16 @@ def soak_page(facts: dict[str, Any]) -> str:
         f"""
         # Soak of the service
 
-        {facts["minutes"]:.0f} minutes on {machine["cpu"]}, {machine["cores"]} cores shared with other work (load
-        {machine["load"][1]:.1f}); cameras at {facts["camera_rate_hz"]:g} Hz, seed {facts["seed"]}. `make soak` repeats
-        it.
+        {"**Everything held.**" if held(facts) else "**Something did not hold; see the rows and soak.json.**"}
+
+        The soak ran for {facts["minutes"]:.0f} minutes on {machine["cpu"]}, with {machine["cores"]} cores shared with
+        other work (load {machine["load"][1]:.1f}), cameras at {facts["camera_rate_hz"]:g} Hz and seed {facts["seed"]}.
+        `make soak` repeats it.
         """,
-        "**Everything held.**" if held(facts) else "**Something did not hold; see the rows and soak.json.**",
         table(measurements(facts), ("quantity", 0), ("measured", 1)),
-        "Trouble made meanwhile:",
+        "Disturbances during the soak:",
         "\n".join(f"- {name}: {count}" for name, count in facts["troubles"].items()),
-        f"Faults that the service reported: {faults}",
+        f"Faults reported by the service: {faults}.",
     )
 
 
@@ -80,20 +81,20 @@ def measurements(facts: dict[str, Any]) -> list[tuple[str, Any]]:
     limit = f"limit {facts['limit_mb_per_h']:g} for the upper end: {'held' if facts['memory_held'] else '**missed**'}"
     return [
         ("insertions", facts["insertions"]),
-        ("clients killed / came back", f"{counts['clients killed']} / {counts['clients that came back']}"),
+        ("clients killed / reconnected", f"{counts['clients killed']} / {counts['clients that came back']}"),
         ("corrections, refusals", [counts["message correction"], counts["message no_decision"]]),
         ("messages for a wrong attempt or insertion", len(facts["wrong_attempt_messages"])),
         (
-            "finished recordings verified / lost",
+            "completed recordings verified / lost",
             f"{counts['finished recordings verified']} / {len(facts['lost_recordings'])}",
         ),
-        ("abandoned insertions whose recording was closed", counts["abandoned recordings verified"]),
+        ("recordings of abandoned insertions that were closed", counts["abandoned recordings verified"]),
         ("slope of resident memory at rest, after the first fifth", f"{slopes['all']}; {limit}"),
-        ("of that heaps, libraries", f"{slopes['own'].mb_per_h:+.1f}, {slopes['files'].mb_per_h:+.1f} MB an hour"),
-        ("resident at rest, first and last tenth", f"{memory['first tenth']} and {memory['last tenth']} MB"),
-        ("most resident during an insertion", f"{facts['most_mb']} MB"),
-        ("threads (least to most)", "{} to {}".format(*facts["threads"])),
-        ("open files (least to most)", "{} to {}".format(*facts["open_files"])),
-        ("unexpected errors, answers 5xx", len(facts["unexpected_errors"])),
-        ("exit code of the service when asked to stop", facts["exit_code_of_the_service"]),
+        ("of which heap and libraries", f"{slopes['own'].mb_per_h:+.1f}, {slopes['files'].mb_per_h:+.1f} MB per hour"),
+        ("resident memory at rest, first and last tenth", f"{memory['first tenth']} and {memory['last tenth']} MB"),
+        ("peak resident memory during an insertion", f"{facts['most_mb']} MB"),
+        ("threads, min to max", "{} to {}".format(*facts["threads"])),
+        ("open files, min to max", "{} to {}".format(*facts["open_files"])),
+        ("unexpected errors and 5xx responses", len(facts["unexpected_errors"])),
+        ("exit code of the service after a stop request", facts["exit_code_of_the_service"]),
     ]
