@@ -1,6 +1,6 @@
-"""`python -m tests.hard_cases`: every hard case on three seeds as one table, on screen, in docs/ and as JSON.
+"""`python -m tests.hard_cases`: every hard case on three seeds as one table on screen, in docs/ and as JSON.
 
-`python -m tests.hard_cases mutate` takes guards away, one at a time, and shows that a case fails for each.
+`python -m tests.hard_cases mutate` removes guards, one at a time, and shows that a case fails for each.
 """
 
 import argparse
@@ -90,19 +90,19 @@ def hard_cases_page(report: dict) -> str:
         f"""
         # Hard cases
 
-        Written by `make hard-cases`: what is nasty, what must hold, how close it came (worst of seeds
-        {", ".join(map(str, report["seeds"]))}), and what answers it. {len(cases)} cases,
-        {sum(not row["passed"] for row in cases)} failed, {report["seconds"]} s.
+        {sum(not row["passed"] for row in cases)} of {len(cases)} cases failed. Each row states why the case is hard,
+        what must hold and what is measured, the worst value over seeds {", ".join(map(str, report["seeds"]))}, its
+        limit and the guard in the code that handles the case. `make hard-cases` wrote this page in {report["seconds"]} s.
         """
     ]
     for room in dict.fromkeys(row["room"] for row in cases):
         parts += [f"## {room.capitalize()}", _cases([row for row in cases if row["room"] == room])]
     bite = """
-        ## Does the suite bite?
+        ## Does each guard matter?
 
-        `python -m tests.hard_cases mutate` takes a guard away in a fresh process; its case must fail.
+        `python -m tests.hard_cases mutate` removes one guard in a fresh process. The case of the guard must then fail.
         """
-    columns = ("case that fails", "case"), ("", lambda row: "caught" if row["caught"] else "**MISSED**")
+    columns = ("case that fails", "case"), ("result", lambda row: "caught" if row["caught"] else "**MISSED**")
     guards = table(mutants, ("guard", lambda row: f"`{row['guard']}`"), ("without it", "without"), *columns)
     return page(*parts, bite, guards)
 
@@ -112,11 +112,11 @@ def _cases(rows: list[dict]) -> Table:
         rows,
         ("case", "case"),
         ("why it is hard", "why"),
-        ("what must hold", lambda row: row["holds"] + (f" ({row['note']})" if row["note"] else "")),
+        ("what must hold: measured", lambda row: row["holds"] + (f" ({row['note']})" if row["note"] else "")),
         ("worst", "worst", ".2g"),
         ("limit", "limit", "g"),
         ("guard", lambda row: f"`{row['guard']}`"),
-        ("", lambda row: "pass" if row["passed"] else f"**FAIL** {row['error']}"),
+        ("result", lambda row: "pass" if row["passed"] else f"**FAIL** {row['error']}"),
     )
 
 

@@ -71,9 +71,9 @@ SHARD = "rectangle-00001.parquet"
 
 @case(
     "data",
-    why="a kill or a full disk leaves a file that begins well",
+    why="a kill or a full disk leaves a file with a valid beginning",
     holds="a shard cut at any length is named and refused: cuts not refused",
-    guard=Guard("simulation.data.manifest:ShardEntry.must_be_whole", "no shard is looked at", waved_through),
+    guard=Guard("simulation.data.manifest:ShardEntry.must_be_whole", "no shard is checked", waved_through),
 )
 def shards_cut_short(seed: int) -> float:
     size = (_dataset() / SHARD).stat().st_size
@@ -87,7 +87,7 @@ def shards_cut_short(seed: int) -> float:
 
 @case(
     "data",
-    why="a flipped bit changes a label and no length",
+    why="a flipped bit changes a label but not the length",
     holds="an altered shard fails its hash: flips not refused",
     guard=Guard(
         "simulation.data.manifest:ShardEntry.must_be_whole",
@@ -108,7 +108,7 @@ def shards_with_a_flipped_bit(seed: int) -> float:
 
 @case(
     "data",
-    why="a shard under another's name has the right form and the wrong trials",
+    why="a shard under another's name has the right format and the wrong trials",
     holds="shards that changed places or are doubled are refused: not refused",
     guard=Guard("simulation.data.dataset:DatasetWriter.commit", "a shard is listed twice", listed_again),
 )
@@ -128,11 +128,11 @@ def shards_reordered_or_doubled(_seed: int) -> float:
 
 @case(
     "data",
-    why="a folder may hold a manifest of another version, half a one, or one that lists what is not there",
+    why="a folder may hold a manifest of another version, a truncated one, or one that lists missing files",
     holds="each is refused by name: not refused",
     guard=Guard(
         "simulation.data.manifest:read_manifest",
-        "errors come through as the parser has them",
+        "the parser's own errors come through",
         lambda _: lambda folder: Manifest.model_validate_json((folder / MANIFEST).read_bytes()),
     ),
 )
@@ -153,7 +153,7 @@ def manifests_that_do_not_fit(_seed: int) -> float:
 
 @case(
     "data",
-    why="a label that is not a number poisons every average it enters",
+    why="a NaN label poisons every average that includes it",
     holds="trials with non-finite labels or states are refused on writing: not refused",
     guard=Guard("simulation.data.trial:Trial.check", "every number counts as finite", blind),
 )
@@ -168,7 +168,9 @@ def trials_that_are_no_numbers(_seed: int) -> float:
     "data",
     why="a binary frame is read by offsets, so a wrong header reads beyond its end or into the wrong shape",
     holds="cut, lengthened and altered frames are refused: not refused",
-    guard=Guard("service.contract.frames:decode_frame", "a message is cut or filled to its length", cut_or_filled),
+    guard=Guard(
+        "service.contract.frames:decode_frame", "a message is truncated or padded to its length", cut_or_filled
+    ),
 )
 def frames_with_a_wrong_header(seed: int) -> float:
     rng = np.random.default_rng(seed)
@@ -181,7 +183,7 @@ def frames_with_a_wrong_header(seed: int) -> float:
 
 @case(
     "data",
-    why="JSON from the network may be anything",
+    why="JSON from the network may contain anything",
     holds="malformed, oversized and foreign messages are refused in one line: not refused",
     guard="service.contract.wire:MAX_TEXT_BYTES",
 )

@@ -91,7 +91,7 @@ def estimates_at_the_edges_of_the_clip(seed: int) -> float:
 @case(
     "decision",
     why="argmax of a tie depends on order, and a tie must not depend on anything else",
-    holds="the same tie gives the same command in either finger's and every call's view: spread",
+    holds="the same tie gives the same command for either finger and in every call: spread",
     guard="service.decision.evidence:Evidence.best",
 )
 def classes_in_a_tie(seed: int) -> float:
@@ -230,7 +230,7 @@ def belief_with_impossible_evidence(seed: int) -> float:
     holds="a failure at the only believed pose still leaves a probability and a move: non-finite values",
     guard=Guard(
         "service.decision.belief:SURE_INSERT",
-        "a failure excludes its pose for sure",
+        "a failure excludes its pose with certainty",
         lambda _: 1.0 / sure_at_zero(),
     ),
 )
@@ -250,7 +250,7 @@ def belief_with_all_mass_on_one_cell(seed: int) -> float:
     why="fifteen attempts that contradict each other leave a filter with nothing it can believe",
     holds="every move is finite and within the limits: excess over 15 or non-finite",
     guard=Guard(
-        "service.decision.controllers:within", "a command passes as it is", lambda _: lambda command, _limits: command
+        "service.decision.controllers:within", "a command passes unchanged", lambda _: lambda command, _limits: command
     ),
     limit=1e-9,
 )
@@ -270,7 +270,7 @@ def fifteen_contradictory_attempts(seed: int) -> float:
 
 @case(
     "decision",
-    why="two networks that see the same pictures may be sure of different things",
+    why="two networks may be confident of different estimates for the same pictures",
     holds="a belief fed with the same evidence in float32 and float64 moves alike: mm or deg apart",
     guard="service.decision.belief:BeliefGrid._direction_likelihood",
     limit=1e-3,

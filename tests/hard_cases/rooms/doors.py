@@ -47,8 +47,8 @@ def shut(doors: list[Door], error: type[Exception] = ValueError) -> float:
 
 @case(
     "decision",
-    why="a number that is none passes every comparison, clip and maximum on its way to the arm",
-    holds="every function of the decision refuses it as non_finite: doors open",
+    why="NaN passes every comparison, clip and maximum on its way to the arm",
+    holds="every function of the decision refuses it as non_finite: functions that do not",
     guard=Guard("service.decision.belief:BeliefGrid.move", "every number counts as finite", blind),
 )
 def doors_of_the_decision(_seed: int) -> float:
@@ -75,8 +75,8 @@ def doors_of_the_decision(_seed: int) -> float:
 
 @case(
     "motion",
-    why="a target is a dozen multiplications away from the number that spoilt it",
-    holds="every function of the robot client that takes numbers refuses those that are none: doors open",
+    why="a target is a dozen multiplications away from the number that spoiled it",
+    holds="every function of the robot client that takes numbers refuses NaN: functions that do not",
     guard=Guard("robot_client.insertion.geometry:yaw_quaternion", "every number counts as finite", blind),
 )
 def doors_of_the_robot_client(_seed: int) -> float:
@@ -114,8 +114,8 @@ def doors_of_the_robot_client(_seed: int) -> float:
 
 @case(
     "physics",
-    why="one node that is not a number spreads over the whole gel with the next solve",
-    holds="poses, scenes, gel states and trials with such numbers are refused: doors open",
+    why="one NaN node spreads over the whole gel with the next solve",
+    holds="poses, scenes, gel states and trials with NaN are refused: functions that do not",
     guard=Guard("simulation.physics.quasistatic:QuasiStaticCell.regrasp", "every number counts as finite", blind),
 )
 def doors_of_the_simulator(seed: int) -> float:
@@ -141,8 +141,8 @@ def doors_of_the_simulator(seed: int) -> float:
 
 @case(
     "networks",
-    why="a mean over a thousand trials hides the one that was not a number, or becomes one",
-    holds="labels and predictions with such numbers are refused before any figure: doors open",
+    why="a mean over a thousand trials hides a NaN, or becomes one",
+    holds="labels and predictions with NaN are refused before any figure: functions that do not",
     guard=Guard("training.metrics.figures:Predictions.__post_init__", "every number counts as finite", blind),
 )
 def doors_of_the_training(_seed: int) -> float:
@@ -169,8 +169,8 @@ def doors_of_the_training(_seed: int) -> float:
 
 @case(
     "perception",
-    why="a field made elsewhere (a recording, another tracker) may hold a node that is no number",
-    holds="detectors stay typed and finite, fits give none, calibrations refuse: numbers not finite",
+    why="a field from elsewhere (a recording, another tracker) may contain a NaN node",
+    holds="detectors stay typed and finite, fits return none, calibrations refuse: non-finite numbers",
     guard=Guard("service.perception.slip.rigid:moving_patch", "every number counts as finite", blind),
 )
 def doors_of_the_perception(seed: int) -> float:

@@ -53,8 +53,8 @@ def spilled(doors: list[Door]) -> float:
 
 @case(
     "motion",
-    why="the largest double plus itself is infinite, the smallest divided into one too",
-    holds="finite extremes give finite results or are refused by name: numbers that are not finite",
+    why="the largest double plus itself is infinite, and so is one over the smallest",
+    holds="finite extremes give finite results or are refused by name: non-finite numbers",
     guard=Guard("robot_client.insertion.geometry:multiply", "every number counts as finite", blind),
 )
 def extremes_in_the_robot_client(_seed: int) -> float:
@@ -81,7 +81,7 @@ def extremes_in_the_robot_client(_seed: int) -> float:
 @case(
     "decision",
     why="a belief shifted by 1e308 mm, or given an error of that size, has no cell left that explains it",
-    holds="finite extremes give finite results or are refused by name: numbers that are not finite",
+    holds="finite extremes give finite results or are refused by name: non-finite numbers",
     guard="service.decision.belief:OUTLIER_SHARE",
 )
 def extremes_in_the_decision(_seed: int) -> float:

@@ -63,9 +63,9 @@ def _with_card(change: Callable[[dict[str, object]], object] | None) -> Callable
 
 @case(
     "data",
-    why="a model without its card decides with thresholds nobody knows",
+    why="a model without its card decides with unknown thresholds",
     holds="a missing, foreign, inconsistent or non-finite card is refused: not refused",
-    guard=Guard("service.contract.model_card:ModelCard.from_props", "a card is believed as it stands", believed),
+    guard=Guard("service.contract.model_card:ModelCard.from_props", "a card is trusted unchecked", believed),
 )
 def models_with_a_foreign_card(_seed: int) -> float:
     def put(name: str, value: object) -> Callable[[dict[str, object]], object]:
@@ -108,7 +108,7 @@ def files_that_end_early(seed: int) -> float:
 
 @case(
     "data",
-    why="a homography is nine numbers of which most choices fold, flip or empty the picture",
+    why="a homography has nine numbers, and most choices fold, flip or empty the picture",
     holds="NaN, singular, folding and empty calibrations are refused: not refused",
     guard=Guard("service.perception.rectification:_MIN_AREA_SHARE", "no part of the raw frame need be in view", -1.0),
 )
@@ -126,11 +126,11 @@ def calibrations_that_show_nothing(_seed: int) -> float:
 
 @case(
     "data",
-    why="a calibration file is edited by hand",
-    holds="strangers, missing tables and wrong types are refused in one line: not refused",
+    why="users edit calibration files by hand",
+    holds="unknown keys, missing tables and wrong types are refused in one line: not refused",
     guard=Guard(
         "service.perception.rectification:Calibration.load",
-        "strangers are overlooked",
+        "unknown keys are ignored",
         with_globals(set=lambda _: frozenset()),
     ),
 )

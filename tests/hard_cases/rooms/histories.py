@@ -50,8 +50,8 @@ def stick_slip_reversal(seed: int) -> float:
 
 @case(
     "physics",
-    why="a part between both walls locks: its limits follow each other, and come 1 to 2 % closer a round",
-    holds="a part pushed down until it wedges has its equilibrium, never refused: share of the bound used",
+    why="a part between both walls locks: its friction limits follow each other and come 1 to 2 % closer per round",
+    holds="a part pushed down until it wedges reaches its equilibrium and is never refused: share of the bound used",
     guard=Guard(
         "simulation.physics.kernels.convex:FINISH_EVERY", "damped rounds are never ended by the coupled Newton", 10**9
     ),
@@ -119,8 +119,8 @@ def mirrored_starts(seed: int) -> float:
 
 @case(
     "physics",
-    why="a hand that is sent to NaN takes its object along",
-    holds="a pose that is no number is refused by name and the state stays: not refused",
+    why="a hand commanded to NaN takes its object along",
+    holds="a NaN pose is refused by name and the state does not change: not refused",
     guard=Guard("simulation.physics.quasistatic:QuasiStaticCell.move_to", "every number counts as finite", blind),
 )
 def poses_that_are_no_numbers(seed: int) -> float:

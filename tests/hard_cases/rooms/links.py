@@ -65,7 +65,7 @@ def counters_wrapping_round(_seed: int) -> float:
 
 @case(
     "motion",
-    why="a datagram is whatever somebody sent to the port",
+    why="a datagram may be anything that somebody sends to the port",
     holds="random bytes decode or are refused by name, and nothing non-finite comes out: other endings",
     guard=Guard(
         "robot_client.insertion.geometry:Pose.check",
@@ -121,7 +121,7 @@ def gripper_frames_after_garbage(seed: int) -> float:
 
 @case(
     "motion",
-    why="a float32 field takes NaN and infinity without a word",
+    why="a float32 field accepts NaN and infinity silently",
     holds="a gripper command with a non-finite number is refused: not refused",
     guard="robot_client.grippers.wsg50.codec:_pack",
 )

@@ -67,7 +67,7 @@ def any_number(contract: type[Contract]) -> type[Contract]:
     holds="pose -> controller -> pose is the identity at any yaw and any frame: mm or deg apart",
     guard=Guard(
         "robot_client.insertion.geometry:CellFrame.from_controller",
-        "angles by an arc sine",
+        "angles come from an arc sine",
         with_globals(math=like(math, atan2=arc_sine)),
     ),
     limit=1e-7,
@@ -90,7 +90,7 @@ def quaternions_near_half_a_turn(seed: int) -> float:
     holds="both signs read as the same yaw, never a whole turn away: deg apart",
     guard=Guard(
         "robot_client.insertion.geometry:CellFrame.from_controller",
-        "yaw is not taken near the last one",
+        "yaw is not unwrapped near the last one",
         with_globals(round=lambda _: 0),
     ),
     limit=1e-9,
@@ -142,9 +142,9 @@ def long_chains_of_small_turns(seed: int) -> tuple[float, str]:
 
 @case(
     "motion",
-    why="a move of no length divides by its length",
-    holds="it ends at once on its own start: distance, or cycles beyond 2",
-    guard=Guard("robot_client.insertion.motion:MotionGuide.advance", "the way is a divisor", divided_by_the_way),
+    why="a move of zero length divides by its length",
+    holds="it ends at once at its own start: distance, or cycles beyond 2",
+    guard=Guard("robot_client.insertion.motion:MotionGuide.advance", "the distance is a divisor", divided_by_the_way),
 )
 def moves_of_no_length(_seed: int) -> float:
     worst = 0.0
@@ -160,11 +160,11 @@ def moves_of_no_length(_seed: int) -> float:
 
 @case(
     "motion",
-    why="the seven segments of a jerk-limited move degenerate one after the other as the way gets short",
-    holds="position rises from 0 to its end without a step back: fall or overshoot relative to the way",
+    why="the seven segments of a jerk-limited move degenerate one after the other as the distance shrinks",
+    holds="position rises monotonically from 0 to its end: fall or overshoot relative to the distance",
     guard=Guard(
         "robot_client.insertion.profile:plan_profile",
-        "a wrong root for the shortest ways",
+        "the wrong root for the shortest distances",
         with_globals(math=like(math, cbrt=math.sqrt)),
     ),
     limit=1e-9,
@@ -183,7 +183,9 @@ def ways_of_any_length(seed: int) -> float:
     "motion",
     why="a limit compared with NaN is never exceeded",
     holds="no target, correction or time step that is not finite passes: not refused",
-    guard=Guard("robot_client.insertion.limits:check_pose", "only what compares as outside is refused", outside_alone),
+    guard=Guard(
+        "robot_client.insertion.limits:check_pose", "only values that compare as outside are refused", outside_alone
+    ),
 )
 def targets_that_are_no_numbers(_seed: int) -> float:
     def target(name: str, value: float) -> WorkPose:
@@ -199,9 +201,9 @@ def targets_that_are_no_numbers(_seed: int) -> float:
 
 @case(
     "motion",
-    why="a message made elsewhere may carry NaN, and JSON may spell it",
+    why="a message from other software may carry NaN, and JSON may spell it",
     holds="a contract type or a message with a non-finite number is refused: not refused",
-    guard=Guard("service.contract.frames:Contract", "contract types take any number", any_number),
+    guard=Guard("service.contract.frames:Contract", "contract types accept any number", any_number),
 )
 def messages_with_numbers_that_are_none(_seed: int) -> float:
     calls = [lambda v=v: pose(x=v) for v in BAD]
@@ -216,7 +218,7 @@ def messages_with_numbers_that_are_none(_seed: int) -> float:
     holds="the target does not move on a time step of 0 or less: mm moved",
     guard=Guard(
         "robot_client.insertion.motion:MotionGuide.advance",
-        "a step back in time counts as one forwards",
+        "a step back in time counts as a step forwards",
         lambda advance: lambda guide, elapsed_s: advance(guide, abs(elapsed_s)),
     ),
 )
@@ -233,7 +235,7 @@ def time_going_backwards(_seed: int) -> float:
 
 @case(
     "motion",
-    why="a stream that gaps and stutters changes the apparent speed of every step",
+    why="a stream with gaps and jitter changes the apparent speed of every step",
     holds="no rhythm of cycles makes a move break its own limits or miss its end: refusals, mm off",
     guard=Guard(
         "robot_client.insertion.motion:MotionGuide._resumes_in_s",

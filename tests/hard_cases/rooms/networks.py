@@ -119,7 +119,7 @@ def streams_of_ten_thousand_steps(seed: int) -> float:
 
 @case(
     "networks",
-    why="the state of a step comes from outside the graph and may be anything a float holds",
+    why="the state of a step comes from outside the graph and may be any float",
     holds="states of +-1e4 give finite, bounded outputs: largest",
     guard="training.networks.forms:within_reach",
     limit=1e6,
@@ -136,7 +136,7 @@ def states_of_ten_thousand(seed: int) -> float:
 
 @case(
     "networks",
-    why="a state is brought back within reach, and the clamp of a runtime may make a number of what is none",
+    why="states are clamped, and the clamp of a runtime may turn NaN into a number",
     holds="a state with one NaN or infinity leaves no network with finite outputs: networks that decide",
     guard="training.networks.forms:within_reach",
 )
@@ -175,7 +175,7 @@ def states_of_denormals(seed: int) -> float:
 
 @case(
     "networks",
-    why="a gap width is an input too, and a cell may ask for any",
+    why="the gap width is an input too, and a cell may have any",
     holds="gap widths from 5 to 250 mm give finite, bounded outputs: largest",
     guard="training.networks.decider:geometry_features",
     limit=LARGEST,
@@ -211,7 +211,7 @@ def batches_of_one_and_of_sixty_four(seed: int) -> float:
 
 @case(
     "networks",
-    why="two threads split a sum in two",
+    why="two threads split a sum",
     holds="one thread and two give the same decision: relative gap",
     guard="export.onnx.verify:verify_model",
     limit=1e-5,
@@ -260,7 +260,7 @@ def frames_of_another_shape(seed: int) -> float:
 
 @case(
     "networks",
-    why="a network may say NaN on the day its file is damaged",
+    why="a network may output NaN when its file is damaged",
     holds="a non-finite output is no decision: not refused, non-finite evidence",
     guard="service.decision.evidence:DecisionRun.evidence",
 )

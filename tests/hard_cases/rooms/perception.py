@@ -68,7 +68,7 @@ def without_memory(update: Callable[..., MarkerField]) -> Callable[..., MarkerFi
 @case(
     "perception",
     why="a rotation is not determined by points on one line: the normal equations are singular",
-    holds="collinear, coincident and fewer than four markers give no motion: fits given",
+    holds="collinear, coincident and fewer than four markers give no motion: fits returned",
     guard=Guard("service.perception.slip.rigid:MIN_SPREAD", "points on a line are enough", 0.0),
 )
 def rigid_fits_without_a_solution(seed: int) -> tuple[float, str]:
@@ -91,7 +91,7 @@ def rigid_fits_without_a_solution(seed: int) -> tuple[float, str]:
 @case(
     "perception",
     why="weights of zero leave no points, and their mean is 0/0",
-    holds="no weight gives no motion: fits given",
+    holds="zero weight gives no motion: fits returned",
     guard="service.perception.slip.rigid:MIN_NODES",
 )
 def rigid_fits_without_weight(seed: int) -> float:
@@ -142,7 +142,7 @@ def rotations_far_from_the_origin(seed: int) -> float:
 @case(
     "perception",
     why="a rotating patch carries its rim further than any slip threshold",
-    holds="a twist to 60 deg at 5 deg a frame is never called slip: frames that are",
+    holds="a twist to 60 deg at 5 deg per frame is never reported as slip: frames that are",
     guard="service.perception.slip.state:SlipSettings.slip_pitch",
     quick=False,
 )
@@ -265,7 +265,7 @@ def clocks_that_jump(seed: int) -> float:
 @case(
     "perception",
     why="an exposure step changes every grey level at once and nothing else",
-    holds="markers stay where they are through light by 0.6 and 1.5: px RMS of a component",
+    holds="markers stay where they are when the light changes by factors of 0.6 and 1.5: px RMS of a component",
     guard=OWN_LIGHT,
     limit=0.15,
     quick=False,

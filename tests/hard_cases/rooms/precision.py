@@ -59,7 +59,7 @@ def _golden_decisions() -> list[Decision]:
 
 @case(
     "networks",
-    why="products that saturate in 16 bits, or a scale found on other frames, are wrong and say nothing",
+    why="products that saturate in 16 bits, or a scale calibrated on other frames, are silently wrong",
     holds="a build whose outputs are a quarter off is refused: builds that pass",
     guard=Guard("export.quantise.quantise:FAR_OFF", "no build is far off", math.inf),
     quick=False,

@@ -23,7 +23,7 @@ FINE = Effort(0.1, 1000.0, 0.9995, 0.5, 0.02)
 COARSER = (Effort(0.1, 500.0, 0.9995, 0.5, 0.02), Effort(0.1, 1000.0, 0.998, 1.0, 0.08))  # twice as fast; softer
 LOAD_STEPS_MM = (0.17, 0.02)
 BETWEEN = "<!-- tables: written by the command below -->"
-DEEP_HEAD = "The same and others deeper, where objects tilt by 2 deg and more:"
+DEEP_HEAD = "The same and other scenes, pressed deeper so that objects tilt by 2 deg and more:"
 
 
 def ours(poke: Poke, load_step_mm: float) -> tuple[QuasiStaticCell, Pressed]:
