@@ -29,6 +29,18 @@ FIGURES: tuple[Any, ...] = (
     ("mean trials", "mean_trials", ".2f"),
     ("inserted", "inserted", ".0%"),
 )
+_MEASURED = """
+## How it was measured
+
+Every cell is drawn from the ranges of [worlds](worlds.md), and the software is given none of its properties.
+Marker positions are the true ones plus the tracker's error. Shares have the 95 % Wilson interval. A failure
+counts as 16 trials.
+
+## Four probes name a wiring mistake
+
+[Four probes](decisions/0140-signs-are-asked-for-at-corners.md) test the signs of each drawn world as it is, and
+again with each commissioning mistake. Worlds in which no object could be held are left out.
+"""
 STAGES = ("released", "calibration", "gain", "all", "around")
 OF_STAGES: tuple[Any, ...] = (
     ("negative log likelihood", "likelihood", ".3f"),
@@ -48,18 +60,7 @@ def commissioning_page(data: Row) -> str:
     return page(
         "# The first day of a cell, simulated",
         _conclusion(asked, learnt),
-        """
-        ## How it was measured
-
-        Every cell is drawn from the ranges of [worlds](worlds.md), and the software is given none of its properties.
-        Marker positions are the true ones plus the tracker's error. Shares have the 95 % Wilson interval. A failure
-        counts as 16 trials.
-
-        ## Four probes name a wiring mistake
-
-        [Four probes](decisions/0140-signs-are-asked-for-at-corners.md) test the signs of each drawn world as it is, and
-        again with each commissioning mistake. Worlds in which no object could be held are left out.
-        """,
+        _MEASURED,
         _signs(asked),
         """
         ## What the cell learns

@@ -92,7 +92,8 @@ def hard_cases_page(report: dict) -> str:
 
         {sum(not row["passed"] for row in cases)} of {len(cases)} cases failed. Each row states why the case is hard,
         what must hold and what is measured, the worst value over seeds {", ".join(map(str, report["seeds"]))}, its
-        limit and the guard in the code that handles the case. `make hard-cases` wrote this page in {report["seconds"]} s.
+        limit and the guard in the code that handles the case. `make hard-cases` wrote this page in
+        {report["seconds"]} s.
         """
     ]
     for room in dict.fromkeys(row["room"] for row in cases):

@@ -46,20 +46,7 @@ def bounds_page(data: dict[str, Any]) -> str:
         ## What the lease bounds
         """,
         _table(bounded),
-        """
-        ## What it cannot bound
-
-        **Frames that are older than their timestamps.** The content of such a frame does not reveal its age. A camera
-        server should therefore stamp its frames at capture. One that does not is only as good as its latency, and
-        nothing measures that latency yet. In this test the delay begins during the descent, and the resulting gap ends
-        the lease. A delay that is present from the start adds 1 mm per 100 ms to every stop.
-
-        **A frozen picture with fresh noise.** The service recognises it by the noise of the frozen picture, which
-        returns in every copy ([decision 132](decisions/0132-noise-comes-once.md)). The first copy passes as new, so the
-        bound grows by one frame period, and the service must have seen the original frame. It judges no frames between
-        closing the fingers and arming, nor between two attempts. If both cameras begin to repeat themselves there, only
-        full depth and the forces that the grasp can carry bound the motion.
-        """,
+        _BEYOND,
         _table(unbounded),
         "`make trust-live` repeats the test and writes this page.",
     )
@@ -74,3 +61,19 @@ def _table(rows: Rows) -> Any:
         ("force N", "force_n", ".1f"),
         ("how the client ended", lambda row: row["ended"] if row["injected"] else "ended before that phase"),
     )
+
+
+_BEYOND = """
+## What it cannot bound
+
+**Frames that are older than their timestamps.** The content of such a frame does not reveal its age. A camera
+server should therefore stamp its frames at capture. One that does not is only as good as its latency, and
+nothing measures that latency yet. In this test the delay begins during the descent, and the resulting gap ends
+the lease. A delay that is present from the start adds 1 mm per 100 ms to every stop.
+
+**A frozen picture with fresh noise.** The service recognises it by the noise of the frozen picture, which
+returns in every copy ([decision 132](decisions/0132-noise-comes-once.md)). The first copy passes as new, so the
+bound grows by one frame period, and the service must have seen the original frame. It judges no frames between
+closing the fingers and arming, nor between two attempts. If both cameras begin to repeat themselves there, only
+full depth and the forces that the grasp can carry bound the motion.
+"""
