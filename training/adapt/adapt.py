@@ -64,8 +64,8 @@ class Comparison:
             ("direction", "accuracy", ".1%"),
             ("MAE x mm", "mae_x_mm", ".2f"),
             ("MAE yaw deg", "mae_theta_deg", ".2f"),
-            ("90 % holds x", "coverage90_x", ".0%"),
-            ("90 % holds yaw", "coverage90_theta", ".0%"),
+            ("90 % coverage x", "coverage90_x", ".0%"),
+            ("90 % coverage yaw", "coverage90_theta", ".0%"),
         )
         conclusion = f"accepted: {self.best}" if self.accepted else f"the release stays: {'; '.join(self.objections)}"
         held = f"{self.samples_n} attempts of {self.fixtures_n} fixtures, every figure on fixtures held out"

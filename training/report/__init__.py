@@ -1,1 +1,1 @@
-"""What pressing further tells a finished network, and the limit of any."""
+"""What a finished network gains from pressing further, and the upper bound of any."""
