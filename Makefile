@@ -156,13 +156,13 @@ pressing: $(VENV)/ready ## collect PRESS_TRIALS presses of drawn cells in PRESSE
 	cp runs/pressing/checkpoint.pt $(PRESS_MODELS)
 	for folder in $(PRESS_MODELS) $(PRESS_MODELS)/joint; do $(BIN)/python -m export verify $$folder || exit 1; done
 
-transfer: $(VENV)/ready ## what accurate physics is worth: networks of one tier each, judged in cells of another; docs/transfer.md, .json; some three hours of one core, goes on after an interruption
+transfer: $(VENV)/ready ## what accurate physics is worth: networks of one tier each, tested in cells of another; docs/transfer.md, .json; some three hours of one core, goes on after an interruption
 	for tier in bristle layer; do $(BIN)/python -m simulation collect --objects drawn-$$tier --trials-per-object 3000 \
 	  --trials-per-shard 250 --seed 9106 --out data/transfer/$$tier || exit 1; done
 	$(BIN)/python -m simulation collect --objects drawn-bristle drawn-layer --trials-per-object 1500 \
 	  --trials-per-shard 250 --seed 9106 --out data/transfer/mixture
-	for judge in bristle layer foreign; do $(BIN)/python -m simulation collect --objects drawn-$$judge \
-	  --trials-per-object 500 --trials-per-shard 250 --seed 88 --out data/transfer/judge-$$judge || exit 1; done
+	for tier in bristle layer foreign; do $(BIN)/python -m simulation collect --objects drawn-$$tier \
+	  --trials-per-object 500 --trials-per-shard 250 --seed 88 --out data/transfer/test-$$tier || exit 1; done
 	for run in bristle layer layer-same-cpu mixture; do \
 	  $(BIN)/python -m training train training/configs/transfer/$$run.toml || exit 1; done
 	$(BIN)/python -m training transfer training/configs/transfer/plan.toml

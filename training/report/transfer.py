@@ -1,4 +1,4 @@
-"""What the accuracy of the physics is worth: networks of one tier each, judged in cells of another."""
+"""What the accuracy of the physics is worth: networks of one tier each, tested in cells of another."""
 
 import json
 from collections.abc import Iterator, Sequence
@@ -39,7 +39,7 @@ class Trained(Contract):
     cpu_ms: float = Field(gt=0)
 
 
-class Judge(Contract):
+class TestSet(Contract):
     """Presses that no network was trained on: a dataset folder of cells in one physics."""
 
     name: str
@@ -50,30 +50,30 @@ class Comparison(Contract):
     """The first network is what the others are compared with."""
 
     trained: tuple[Trained, ...] = Field(min_length=2)
-    judges: tuple[Judge, ...] = Field(min_length=1)
+    test_sets: tuple[TestSet, ...] = Field(min_length=1)
     note: str = ""
 
 
 def write_transfer(plan: Path, out: Path) -> Path:
-    """Judge all networks of a plan, and write ``<out>/transfer.md`` and ``.json``; ContractError names a wrong key."""
+    """Test all networks of a plan, and write ``<out>/transfer.md`` and ``.json``; ContractError names a wrong key."""
     try:
         comparison = Comparison.model_validate_json(json.dumps(read_toml(plan)))
     except ValidationError as error:
         first = error.errors()[0]
         raise ContractError(f"{plan}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
-    judges = {judge.name: load_pressed(DataConfig(path=judge.data, views=1)) for judge in comparison.judges}
+    presses_of = {test_set.name: load_pressed(DataConfig(path=test_set.data, views=1)) for test_set in comparison.test_sets}
     data = {
         "commit": commit(),
         "note": comparison.note,
         "press_mm": PRESS_MM,
-        "judges": {name: len(presses) for name, presses in judges.items()},
-        "rows": [row for name, presses in judges.items() for row in _judged(comparison.trained, name, presses)],
+        "test_sets": {name: len(presses) for name, presses in presses_of.items()},
+        "rows": [row for name, presses in presses_of.items() for row in _tested(comparison.trained, name, presses)],
     }
     publish(out, NAME, transfer_page(data), data)
     return out / f"{NAME}.md"
 
 
-def _judged(trained: Sequence[Trained], judge: str, presses: Pressed) -> Iterator[Row]:
+def _tested(trained: Sequence[Trained], name: str, presses: Pressed) -> Iterator[Row]:
     """A row of each network on the same presses."""
     first: NDArray[np.bool_] | None = None
     for one in trained:
@@ -81,7 +81,7 @@ def _judged(trained: Sequence[Trained], judge: str, presses: Pressed) -> Iterato
         right = predictions.logits.argmax(1) == class_of(predictions.truth.astype(np.float32))
         first = right if first is None else first
         yield {
-            "judge": judge,
+            "tested_on": name,
             **one.model_dump(exclude={"checkpoint"}),
             "direction": list(wilson(float(right.sum()), len(right))),
             "gained": list(mean((right.astype(float) - first).tolist())),
@@ -105,21 +105,21 @@ def transfer_page(data: Row) -> str:
 
 
 def _parts(data: Row) -> Iterator[str | Table]:
-    counts = ", ".join(f"{count} in {name}" for name, count in data["judges"].items())
+    counts = ", ".join(f"{count} in {name}" for name, count in data["test_sets"].items())
     yield f"""
         # What the accuracy of the physics is worth
 
         Written by `make transfer` at commit `{data["commit"][:12]}`. Everything is simulated. Networks of one
         architecture and one training recipe were trained on presses of drawn cells and objects, each in one tier of the
-        gel. All were judged on the same fresh draws in every physics: {counts}. They read {data["press_mm"]:g} mm of
+        gel. All were tested on the same fresh draws in every physics: {counts}. They read {data["press_mm"]:g} mm of
         pressing, as shipped. *Gained*: directions right beyond those of the first row, press by press, with the 95 %
         interval. Shares have Wilson intervals.
         """
     yield data["note"]
-    for judge in data["judges"]:
-        yield f"## Judged in {judge}"
+    for name in data["test_sets"]:
+        yield f"## Tested in {name}"
         yield table(
-            [row for row in data["rows"] if row["judge"] == judge],
+            [row for row in data["rows"] if row["tested_on"] == name],
             ("trained in", "name"),
             ("presses", "presses", ",d"),
             ("CPU ms a press", "cpu_ms", ".0f"),

@@ -102,7 +102,7 @@ def _builds(kept: Row) -> Panel:
 
 
 def _transfer(kept: Row) -> Panel:
-    """Networks of one tier each, judged in a physics that none of them was trained in."""
+    """Networks of one tier each, tested in a physics that none of them was trained in."""
 
     def marks(presses: int) -> list[Mark]:
         return [
@@ -113,7 +113,7 @@ def _transfer(kept: Row) -> Panel:
 
     counts = sorted({row["presses"] for row in kept["transfer"]})
     return Panel(
-        "(d) training physics, judged in another",
+        "(d) training physics, tested in another",
         "CPU ms of collecting a press",
         "direction right, %",
         [Series(f"{count:,} presses", marks(count)) for count in counts],

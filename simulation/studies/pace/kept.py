@@ -48,7 +48,7 @@ def kept(docs: Path) -> Row:
         "transfer": [
             {"name": row["name"], "cpu_ms": row["cpu_ms"], "presses": row["presses"], "right": row["direction"]}
             for row in transfer["rows"]
-            if row["judge"] == ELSEWHERE
+            if row["tested_on"] == ELSEWHERE
         ],
         "slip": {
             "ms": slip["path_ms"]["median"],

@@ -23,7 +23,7 @@ name = "other"
 checkpoint = "{other}"
 presses = 9400
 cpu_ms = 200
-[[judges]]
+[[test_sets]]
 name = "bristle"
 data = "{data}"
 """
