@@ -19,6 +19,7 @@ PAGES = {
     "foreign_world": "simulation.studies.witness.sealed_page:foreign_world_page",
     "pace": "simulation.studies.pace.report:pace_page",
     "serving": "tests.benchmarks.serving_report:serving_page",
+    "transfer": "training.report.transfer:transfer_page",
     "trust": "simulation.studies.trust:trust_page",
     "slip_report": "simulation.studies.slip.report:slip_page",
     "soak": "tests.service.soak.report:soak_page",

@@ -38,7 +38,6 @@ class Panel(NamedTuple):
     x: str
     y: str
     series: Sequence[Series]
-    log_x: bool = False
     y_from: float = 0.0
 
 
@@ -56,15 +55,14 @@ def draw(panels: Sequence[Panel], path: Path) -> None:
     rows = -(-len(panels) // COLUMNS)
     with drawing(path, rows, COLUMNS, size=(PANEL_IN * COLUMNS, 3.6 * rows)) as axes:
         for axis, panel in zip(axes.flat, panels, strict=True):
-            axis.set(xlabel=panel.x, ylabel=panel.y, xscale="log" if panel.log_x else "linear")
+            axis.set(xlabel=panel.x, ylabel=panel.y)
             axis.set_title(panel.title)
             for series, colour in zip(panel.series, PALETTE, strict=False):
                 _draw_series(axis, series, colour)
             axis.legend(loc="lower left")
             axis.margins(0.15)
             axis.set_ylim(panel.y_from, None)
-            if not panel.log_x:
-                axis.set_xlim(0, None)
+            axis.set_xlim(0, None)
         axes[0, 0].figure.draw_without_rendering()  # where a mark stands is known once the panels are laid out
         for axis, panel in zip(axes.flat, panels, strict=True):
             _name(axis, [mark for series in panel.series for mark in series.marks])
@@ -113,7 +111,7 @@ def write_html(panels: Sequence[Panel], path: Path) -> None:
         where = {"row": place // COLUMNS + 1, "col": place % COLUMNS + 1}
         for series, colour in zip(panel.series, PALETTE, strict=False):
             figure.add_scatter(**_hovering(series, panel, colour), **where)
-        figure.update_xaxes(title=panel.x, type="log" if panel.log_x else "linear", rangemode="tozero", **where)
+        figure.update_xaxes(title=panel.x, rangemode="tozero", **where)
         figure.update_yaxes(title=panel.y, rangemode="normal" if panel.y_from else "tozero", **where)
     figure.update_layout(template="plotly_white", height=900, showlegend=False, title="What accuracy costs (simulated)")
     write_durably(path, figure.to_html(include_plotlyjs=True).encode())

@@ -189,7 +189,8 @@ def _figures(kept: Row) -> str:
     - (c) No int8 build pays. The two that command what fp32 does take {builds["int8 dynamic"]["cpu_ms"]:.1f} and
       {builds["int8 blocked"]["cpu_ms"]:.1f} ms instead of {builds["fp32"]["cpu_ms"]:.1f}, for networks that no cell
       needs.
-    - (d) One descent against the [finest elements](foreign_check.md). It is computed, not drawn, so it has no interval.
+    - (d) Networks that were trained in one tier of the gel each, tested in finite elements that none of them had seen:
+      [more presses pay, finer physics does not](transfer.md).
     - Slip has no figure because there is nothing to choose. One tracker ships, {slip["ms"]:.1f} ms a finger and frame.
       It is right in {Estimate(*images["accuracy"]):.1%} from pictures and in {Estimate(*true["accuracy"]):.1%} from
       true fields, both with a median delay of {images["delay_frames"]["median"]:.0f} frame and no false alarm ([slip
