@@ -51,6 +51,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "recipe": Command("training", "recipe", "train the paper's own recipe, the baseline"),
         "board": Command("training", "board", "show a run's scalars on TensorBoard or Trackio"),
         "depths": Command("training", "depths", "write a run's gain from pressing further"),
+        "transfer": Command("training", "transfer", "what accurate training physics is worth"),
         "export": Command("export", "onnx", "write a checkpoint as ONNX with its cards"),
         "verify": Command("export", "verify", "verify every network of a folder"),
         "bench": Command("export", "benchmark", "measure networks on this machine, offline"),
