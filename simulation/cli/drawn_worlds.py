@@ -71,13 +71,13 @@ def main(arguments: list[str]) -> int:
 
 def _variants(options: Options) -> list[Variant]:
     variants = [
-        Variant("release, reach told", options.models, "belief", told_reach=True),
-        Variant("release, reach not told", options.models, "belief", told_reach=False),
+        Variant("release, reach given", options.models, "belief", given_reach=True),
+        Variant("release, reach not given", options.models, "belief", given_reach=False),
     ]
     if list(options.older.glob("*.step.onnx")) and options.older.resolve() != options.models.resolve():
-        variants.append(Variant("release before", options.older, "belief", told_reach=False))
+        variants.append(Variant("release before", options.older, "belief", given_reach=False))
     if list(options.paper_models.glob("*.step.onnx")):
-        variants.append(Variant("the paper's recipe", options.paper_models, "heuristic", told_reach=False))
+        variants.append(Variant("the paper's recipe", options.paper_models, "heuristic", given_reach=False))
     return variants
 
 

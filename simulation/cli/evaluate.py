@@ -75,7 +75,7 @@ class Options(Played):
     """mechanics: the project's own, or finite elements that it was not built on"""
     controller: Who = "belief"
     """one of the service's, or the oracle, which moves by the true error (an upper bound)"""
-    told_reach: bool = False
+    given_reach: bool = False
     """the client sends the gel's shear reach, with the error (15 %) of a cell that has measured it"""
     json: Path = Path("runs/evaluation.json")
     """file for the rows"""
@@ -103,8 +103,8 @@ def tasks(options: Options) -> list[Task]:
     )
     made_by = campaign.made_by({options.controller: options.models})
     asked: dict[str, Any] = {"controller": options.controller, "perception": options.perception}
-    if options.told_reach:
-        asked["told_reach"] = True
+    if options.given_reach:
+        asked["given_reach"] = True
     if options.cell == "foreign":
         asked["cell"] = "foreign"
     return benchmark.tasks(worlds, objects, options.count, options.seed, options.models, made_by, **asked)

@@ -30,7 +30,7 @@ class Job:
     ``condition`` names the world or disturbance; ``changes`` are its dotted keys of the scene, ``unstated`` those of
     its table `[world]`.
 
-    ``told_reach``: the client also sends the gel's shear reach, with the error of a cell that has measured it.
+    ``given_reach``: the client also sends the gel's shear reach, with the error of a cell that has measured it.
 
     ``controller``: one of the service's, or the oracle, which moves by the true error: its remaining cost is the first
     attempt and the creep in the hand.
@@ -56,7 +56,7 @@ class Job:
     unstated: Mapping[str, Any] = field(default_factory=dict)
     cell: Literal["", "foreign"] = ""
     fault: Mapping[str, Any] = field(default_factory=dict)
-    told_reach: bool = False
+    given_reach: bool = False
     client: Mapping[str, Any] = field(default_factory=dict)
 
     def build_scene(self) -> Scene:
@@ -65,7 +65,7 @@ class Job:
 
     def measured_reach_mm(self, scene: Scene) -> float | None:
         """The gel's shear reach as the client sends it, mm; None if it was not measured."""
-        if not self.told_reach:
+        if not self.given_reach:
             return None
         factor = math.exp(MEASURED * float(np.random.default_rng((self.seed, 2)).normal()))
         return factor * shear_reach_pitches(scene) * scene.sensor.marker_pitch_mm

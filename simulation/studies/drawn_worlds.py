@@ -30,7 +30,6 @@ COLUMNS: tuple[Any, ...] = (
     ("max force N", "worst_force_n", ".0f"),
 )
 """Columns of a table of insertions, after those of claims and insertions."""
-_TITLES = {"release, reach told": "release, reach given", "release, reach not told": "release, reach not given"}
 _TRIES = 50
 
 
@@ -40,7 +39,7 @@ class Variant(NamedTuple):
     title: str
     models: Path
     controller: str
-    told_reach: bool
+    given_reach: bool
 
 
 class Start(NamedTuple):
@@ -85,7 +84,7 @@ def tasks(variants: Sequence[Variant], begun: Sequence[Start], seed: int, percep
                 controller=variant.controller,
                 perception=perception,
                 condition=f"{start.world.name}: {variant.title}",
-                told_reach=variant.told_reach,
+                given_reach=variant.given_reach,
             ),
         )
         for index, start in enumerate(begun)
@@ -155,7 +154,7 @@ def drawn_worlds_page(data: Row) -> str:
         """,
         table(
             data["variants"],
-            ("variant", lambda row: _TITLES.get(row["variant"], row["variant"])),
+            ("variant", "variant"),
             ("false claims", "claimed_wrongly", "d"),
             ("inserted", lambda row: wilson(row["inserted"], row["insertions"]), ".1%"),
             *COLUMNS,

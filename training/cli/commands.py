@@ -84,7 +84,7 @@ def transfer(plan: Annotated[Path, tyro.conf.Positional], out: Path = Path("docs
     """Test networks that were trained in one tier of the gel on presses in others: what accurate physics is worth.
 
     Args:
-        plan: TOML file that names the networks and the datasets to test them on; see training/configs/transfer/plan.toml.
+        plan: TOML file of networks and test sets, such as training/configs/transfer/plan.toml.
         out: folder of transfer.md and transfer.json.
     """
     from training.report.transfer import write_transfer

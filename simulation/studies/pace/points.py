@@ -101,7 +101,7 @@ def tasks(points: Sequence[Point], begun: Sequence[Start], seed: int, models: Pa
                 controller=point.controller,
                 condition=point.name,
                 client=with_care(point.client, start.world, start.scene),
-                told_reach=True,
+                given_reach=True,
             ),
         )
         for index, start in enumerate(begun)

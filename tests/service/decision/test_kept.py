@@ -161,7 +161,7 @@ def slid(attempt: Any) -> list[float]:
 
 
 JOBS = {
-    "taken afresh": Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", told_reach=True),
+    "taken afresh": Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", given_reach=True),
     "goes in": Job("circle", 0, -5.0, -3.0, 4, "belief", "fields"),
 }
 NOTED: dict[str, tuple[str, ...]] = {

@@ -47,14 +47,14 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., ModelSet]:
 def first_attempt(
     models: ModelSet,
     *,
-    told_reach: bool = False,
+    given_reach: bool = False,
     until_slip: bool = False,
     press_mm: float = wire.PRESS_MM,
     **changes: float,
 ) -> tuple[Insertion, Messages]:
     """An insertion that is blocked at first, played until its first answer, and all messages of the service."""
     soft = {"gel.friction": 1.0, "gel.shear_modulus_n_per_mm2": 0.08}
-    job = Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", soft | changes, told_reach=told_reach)
+    job = Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", soft | changes, given_reach=given_reach)
     insertion, replies = stage(job, models), Messages()
     plan = insertion.state.plan
     asked = {"purpose": "probe", "until_slip": True} if until_slip else {}
@@ -168,7 +168,7 @@ def test_networks_beside_are_given_the_very_steps_that_those_were_that_decided(m
         decided.append(attempt)
         raise AnsweredError
 
-    insertion = stage(Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", {}, told_reach=True), made())
+    insertion = stage(Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", {}, given_reach=True), made())
     insertion.session.on_attempt = stop
     with pytest.raises(AnsweredError):
         insertion.run()

@@ -104,6 +104,6 @@ def test_a_cell_that_measured_its_reach_tells_it_a_little_wrong_and_another_tell
     job = Job("rectangle", 0, 8.0, 5.0, 1, "belief", "fields", changes={"grasp.force_n": 25.0})
     assert conditions(job) == (25.0, None)
     true_mm = shear_reach_pitches(job.build_scene()) * job.build_scene().sensor.marker_pitch_mm
-    _, reach_mm = conditions(replace(job, told_reach=True))
+    _, reach_mm = conditions(replace(job, given_reach=True))
     assert reach_mm != pytest.approx(true_mm, rel=1e-3)
     assert reach_mm == pytest.approx(true_mm, rel=0.6)

@@ -9,8 +9,8 @@ WORLDS = [drawn.world(tables, f"w{number}") for number, tables in enumerate(draw
 
 def variants(tmp_path):
     return [
-        Variant("told", tmp_path, "belief", told_reach=True),
-        Variant("not told", tmp_path, "belief", told_reach=False),
+        Variant("told", tmp_path, "belief", given_reach=True),
+        Variant("not told", tmp_path, "belief", given_reach=False),
     ]
 
 
@@ -21,8 +21,8 @@ def test_variants_play_the_same_starts_and_another_seed_other_ones(tmp_path):
     assert [start.world.name for start in first] == [f"w{n % 6}" for n in range(12)]
     todo = [task.job for task in drawn_worlds.tasks(variants(tmp_path), first, 3, "fields")]
     for stated, unstated in zip(todo[::2], todo[1::2], strict=True):
-        assert (stated["told_reach"], unstated["told_reach"]) == (True, False)
-        ignored = {"condition": "", "told_reach": ""}
+        assert (stated["given_reach"], unstated["given_reach"]) == (True, False)
+        ignored = {"condition": "", "given_reach": ""}
         assert stated | ignored == unstated | ignored
     assert len({job["condition"] + str(job["index"]) for job in todo}) == len(todo)
 

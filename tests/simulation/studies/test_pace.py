@@ -54,7 +54,7 @@ def point(name="a", seconds=4.0, inserted=48, wrong=0, force=20.0):
 def test_every_choice_begins_from_the_same_starts_in_the_same_worlds():
     begun = [Start(World(), name, 1.0, 2.0, 1.0) for name in ("circle", "can")]
     todo = tasks(POINTS, begun, 5, Path("m"))
-    same = ("scene", "index", "x_mm", "theta_deg", "seed", "changes", "unstated", "told_reach")
+    same = ("scene", "index", "x_mm", "theta_deg", "seed", "changes", "unstated", "given_reach")
     for place in range(0, len(todo), len(POINTS)):
         mine = [{key: task.job[key] for key in same} for task in todo[place : place + len(POINTS)]]
         assert all(job == mine[0] for job in mine)
