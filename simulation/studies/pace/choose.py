@@ -40,7 +40,7 @@ def choose(data: Row, wanted: Wanted) -> tuple[Row, bool]:
 def summary(point: Row, count: int, wanted: Wanted, *, kept: bool) -> str:
     """The choice and its results, simulated."""
     asked = f"{wanted.seconds_a_box:g} s a box, {wanted.success:.1%} inserted, {wanted.force_n:g} N"
-    answer = "keeps" if kept else "NEAREST, nothing measured keeps"
+    answer = "meets" if kept else "the NEAREST; no measured choice meets"
     return (
         f"{point['name']}: {answer} {asked}\n"
         f"  simulated, {count} insertions: {Estimate(*point['seconds_a_box']):.2f} s a box,"
