@@ -75,9 +75,9 @@ MAX_TEXT_BYTES = 65536
 
 
 class ClientHello(_Message):
-    """First message. ``role`` watch receives everything and sends heartbeats alone. ``continues``: see `Refused`.
+    """First message. A client of ``role`` watch receives everything and may send only heartbeats.
 
-    ``takes_afresh``: the client can put an object that has turned in the hand back and take it upright.
+    ``continues``: the insertion whose object was regrasped, see `Refused`. ``takes_afresh``: the client can regrasp.
     """
 
     type: Literal["hello"] = "hello"
@@ -91,18 +91,18 @@ class ClientHello(_Message):
 
 
 class LearnOpen(_Message):
-    """The hand is open and nothing touches the gels: learn what they look like. Sent before each grasp."""
+    """The gripper is open and nothing touches the gels: learn their appearance. Sent before each grasp."""
 
     type: Literal["learn_open"] = "learn_open"
 
 
 class Arm(_Message):
-    """The arm stands above the gap, holding the object still: take the reference, watch for slip.
+    """The arm stands still above the gap and holds the object: take the reference and watch for slip.
 
     ``grasp_height_mm`` is the height of the TCP above the blocks' top faces when the object touches them, the lever arm
-    of the edge's friction; None if nobody knows it. ``gripper_width_mm``: how far apart the fingers are; None if the
-    gripper does not tell. ``grip_n`` is their force, ``shear_reach_mm`` how far the gel shears before it slides.
-    ``press_mm``: how far to press after the touch. ``until_slip``: press on until the gel slides, to learn about it.
+    of the edge's friction; None if unknown. ``gripper_width_mm`` is the distance between the fingers; None if the
+    gripper does not report it. ``grip_n`` is their force, ``shear_reach_mm`` how far the gel shears before it slides.
+    ``press_mm`` is how far to press after the touch. ``until_slip``: press on until the gel slides, to measure it.
     """
 
     type: Literal["arm"] = "arm"
@@ -118,7 +118,7 @@ class Arm(_Message):
 
 
 class Descending(_Message):
-    """A guarded descent begins, or goes on, at the speed told, from ``start_mm`` below the armed pose."""
+    """A guarded descent begins or continues at ``speed_mm_s``, from ``start_mm`` below the armed pose."""
 
     type: Literal["descending"] = "descending"
     attempt: Attempt
@@ -129,8 +129,8 @@ class Descending(_Message):
 class Stopped(_Message):
     """The arm stands still at ``depth_mm`` below the armed pose. ``inserted`` and ``dropped`` end the insertion.
 
-    ``inserted``: full depth was reached; `finished` reports whether that is confirmed. ``gripper_width_mm``: now.
-    ``still_s``: since when the arm stands, as far as the client knows.
+    ``inserted``: full depth was reached; `finished` reports whether that is confirmed. ``gripper_width_mm`` is
+    the present distance. ``still_s``: how long the arm has stood there, as far as the client knows.
     """
 
     type: Literal["stopped"] = "stopped"
@@ -142,7 +142,7 @@ class Stopped(_Message):
 
 
 class Abort(_Message):
-    """The client gives up; the recording is kept. ``cause`` is what is counted, ``reason`` is for a person."""
+    """The client gives up; the recording is kept. Metrics count ``cause``; ``reason`` is for people."""
 
     type: Literal["abort"] = "abort"
     cause: Cause
@@ -150,7 +150,7 @@ class Abort(_Message):
 
 
 class ClientHeartbeat(_Message):
-    """Sent at least every second; the service answers with its own. It maps clocks and shows a link, nothing else."""
+    """Sent at least every second; the service answers with its own. It maps the clocks and shows a live link."""
 
     type: Literal["heartbeat"] = "heartbeat"
     count: int = Field(ge=0)
@@ -174,13 +174,13 @@ class ServiceHello(_Message):
 
 
 class OpenLearnt(_Message):
-    """Both open gels are learnt; the fingers may close."""
+    """The appearance of both open gels is learnt; the fingers may close."""
 
     type: Literal["open_learnt"] = "open_learnt"
 
 
 class Armed(_Message):
-    """Reference taken at this frame; the descent may begin. ``frame_captured_ns`` is the first one to move on."""
+    """The reference is this frame, and the descent may begin. Its ``frame_captured_ns`` starts the lease."""
 
     type: Literal["armed"] = "armed"
     attempt: Attempt
@@ -189,10 +189,10 @@ class Armed(_Message):
 
 
 class Watching(_Message):
-    """Both fingers were judged on new frames, and nothing speaks against going on: the arm may move a little longer.
+    """New frames of both fingers were judged and show no reason to stop: the arm may go on for a little longer.
 
-    ``frame_captured_ns`` is the older finger's newest judged frame, ``judged_ns`` when this was sent. The client moves
-    only while the newest of these is younger than its lease.
+    ``frame_captured_ns`` is the capture of the newest judged frame, of the finger whose frame is older; ``judged_ns``
+    is when this was sent. The client moves only while the newest capture is younger than its lease.
     """
 
     type: Literal["watching"] = "watching"
@@ -202,7 +202,7 @@ class Watching(_Message):
 
 
 class Slip(_Message):
-    """Incipient slip: stop the arm now. ``age_ms`` is from capture of the frame to sending this."""
+    """Incipient slip: stop the arm now. ``age_ms`` is the time from the frame's capture to this message."""
 
     type: Literal["slip"] = "slip"
     attempt: Attempt
@@ -215,7 +215,7 @@ class Slip(_Message):
 
 
 class Correction(_Message):
-    """Retract, then move by (dx_mm, dtheta_deg) in the work-object frame. ``turns_deg``: as both fingers saw it."""
+    """Retract, then move by (dx_mm, dtheta_deg) in the work-object frame. ``turns_deg``: measured by each finger."""
 
     type: Literal["correction"] = "correction"
     attempt: Attempt
@@ -231,7 +231,7 @@ class Correction(_Message):
 
 
 class NoDecision(_Message):
-    """No correction can be trusted for this attempt; the client must not move on its own guess."""
+    """No correction can be trusted for this attempt; the client must not guess one."""
 
     type: Literal["no_decision"] = "no_decision"
     attempt: Attempt
@@ -240,10 +240,10 @@ class NoDecision(_Message):
 
 
 class Finished(_Message):
-    """The insertion is closed and its recording complete. No other outcome than ``inserted`` is an insertion.
+    """The insertion is closed and its recording complete. Only the outcome ``inserted`` is an insertion.
 
-    ``not_confirmed``: full depth was reached, and ``doubts`` says why that is not claimed to be an insertion. Where
-    they are only that the object has turned, a client that regrasps it is told ``aborted``, cause ``afresh``.
+    ``not_confirmed``: full depth was reached, and ``doubts`` says why that is not claimed as an insertion. If the only
+    doubt is that the object has turned, a client that regrasps gets ``aborted`` with the cause ``afresh``.
     """
 
     type: Literal["finished"] = "finished"
@@ -264,7 +264,7 @@ class Fault(_Message):
 
 
 class ServiceHeartbeat(_Message):
-    """Answer to a heartbeat, same count; for a person, the age of the newest frame of the finger further behind."""
+    """Answer to a heartbeat, with its count. ``frame_age_ms``: of the finger whose newest frame is older."""
 
     type: Literal["heartbeat"] = "heartbeat"
     count: int

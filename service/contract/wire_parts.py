@@ -1,4 +1,4 @@
-"""What the messages of :mod:`service.contract.wire` are made of, and those that only the record is made of."""
+"""The parts of the messages in :mod:`service.contract.wire`, and the messages that are only recorded."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -14,20 +14,20 @@ Outcome = Literal["blocked", "inserted", "dropped", "stopped"]
 ControllerName = Literal["heuristic", "belief"]
 Cause = Literal[
     "operator",  # a person's wish
-    "probed",  # a probe did what it was asked to; this and a person's wish are no failures
-    "afresh",  # the object has turned in the hand; the client regrasps it and goes on in a new insertion
+    "probed",  # a probe did what it was asked to; like an operator's wish, this is no failure
+    "afresh",  # the object has turned in the hand; the client regrasps it and continues in a new insertion
     "attempts",  # as many as allowed, and still blocked
     "unwatched",  # the newest judged frame grew older than the lease
     "part_lost",
-    "not_confirmed",  # full depth was reached, and nothing shows that the object came along
+    "not_confirmed",  # full depth was reached, but the evidence for an insertion is missing
     "no_decision",
     "refused",  # the service refused to arm
     "limits",  # a motion, a correction or a plan beyond the client's limits
     "arm",
     "gripper",
     "camera",
-    "service",  # a fault of the service, or nonsense from it
-    "link",  # the other side fell silent or hung up
+    "service",  # a fault of the service, or an invalid message from it
+    "link",  # the other side fell silent or disconnected
     "timeout",
     "client",  # a defect of the client
 ]
@@ -66,9 +66,10 @@ FaultCode = Literal[
 
 
 def errors_left(moves: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """What each attempt of an insertion that went in was off by (mm, deg), to within what fits the gap.
+    """The error (mm, deg) of each attempt of a successful insertion, to within what fits the gap.
 
-    ``moves`` followed the attempts, (0, 0) where none did: what was off is all that was moved since, reversed.
+    ``moves`` has the move after each attempt, (0, 0) where there was none. The error of an attempt is the sum of all
+    moves after it, with the opposite sign.
     """
     left: list[tuple[float, float]] = []
     x_mm = theta_deg = 0.0
@@ -84,7 +85,7 @@ Attempt = Annotated[int, Field(ge=1, le=MAX_ATTEMPTS)]
 
 
 class InsertionMessage(Contract):
-    """What every message carries."""
+    """The field that every message has."""
 
     insertion_id: InsertionId
 
@@ -92,8 +93,8 @@ class InsertionMessage(Contract):
 class Clock(Contract):
     """One reading of both clocks: ``sent_ns`` is the client's when it asked, ``service_ns`` the service's answer.
 
-    When the answer is there at ``t`` of the client's clock, the service's showed ``service_ns`` some time within
-    [``sent_ns``, ``t``]: so any stamp of the service is known on the client's clock to within one round trip.
+    If the answer arrives at ``t`` on the client's clock, the service's clock read ``service_ns`` at some time within
+    [``sent_ns``, ``t``]. Any stamp of the service is therefore known on the client's clock to within one round trip.
     """
 
     sent_ns: int
@@ -108,7 +109,7 @@ class ModelEntry(Contract):
 
 
 class CameraEntry(Contract):
-    """One finger's camera as the service sees it; ``gel`` names the one it was calibrated with, if that is known."""
+    """State of one finger's camera; ``gel`` names the gel that it was calibrated with, if that is known."""
 
     finger: Finger
     source: str
@@ -118,7 +119,7 @@ class CameraEntry(Contract):
 
 
 class Limits(Contract):
-    """The largest correction the service ever sends, and how old a frame may be to decide on."""
+    """The largest correction that the service ever sends, and the largest age of a frame for a decision."""
 
     max_dx_mm: float = Field(gt=0)
     max_dtheta_deg: float = Field(gt=0)
@@ -137,7 +138,7 @@ class Estimate(Contract):
 
 
 class Doubt(Contract):
-    """What keeps a claim at full depth from being made, with the figure and its bound where there are such."""
+    """A reason why an insertion is not claimed at full depth, with the measured value and its bound if it has them."""
 
     reason: DoubtReason
     detail: str
@@ -145,7 +146,7 @@ class Doubt(Contract):
     bound: float | None = None
 
 
-# ---- the record of the episode; the service keeps it and decides nothing by it --------------------------------------
+# ---- the record of the episode, which the service keeps and does not use for decisions ------------------------------
 
 
 class ToolPose(Contract):
@@ -158,10 +159,10 @@ class ToolPose(Contract):
 
 
 class RobotSample(Contract):
-    """Arm and gripper at one moment, ``at_ns`` of the client's monotonic clock; None: not known.
+    """State of arm and gripper at ``at_ns`` of the client's monotonic clock; None means unknown.
 
-    ``commanded`` is the target that the arm has now, ``measured`` where it says it is. ``depth_mm`` is how far
-    ``measured`` is below the pose of the latest `arm`, ``width_mm`` the distance of the fingers.
+    ``commanded`` is the arm's present target, ``measured`` the pose that it reports. ``depth_mm`` is how far
+    ``measured`` is below the pose of the latest `arm`, ``width_mm`` the distance between the fingers.
     """
 
     at_ns: int
@@ -174,9 +175,9 @@ class RobotSample(Contract):
 
 
 class Telemetry(InsertionMessage):
-    """What the robot did, 50 times a second, some ten times a second in a batch; for the recording, never answered.
+    """States of the robot, sampled 50 times a second and sent in about ten batches a second; recorded, never answered.
 
-    ``sent_ns`` is the client's clock at sending; ``left_out_n`` samples were given up since the last one because the
+    ``sent_ns`` is the client's clock at sending. ``left_out_n`` samples were dropped since the last batch because the
     connection was slow.
     """
 
@@ -187,10 +188,10 @@ class Telemetry(InsertionMessage):
 
 
 class Episode(InsertionMessage):
-    """What is to be done and with what, for the recording: sent once after `hello`, never answered.
+    """The task, for the recording: sent once after `hello`, never answered.
 
-    ``start`` is where the arm stands, ``approach`` the pose above the gap from which the first attempt goes down. Of a
-    probe the approach is the error itself: it is known, and nothing is to be inserted.
+    ``start`` is the pose of the arm, ``approach`` the pose above the gap from which the first attempt descends. A probe
+    approaches with a known error and is not meant to insert: its ``approach`` is that error.
     """
 
     type: Literal["episode"] = "episode"
@@ -202,7 +203,7 @@ class Episode(InsertionMessage):
 
 
 class Enough(InsertionMessage):
-    """The object was pressed as deep as the networks read: stop the arm now, as on slip."""
+    """The object was pressed as deep as the networks need: stop the arm now, as on slip."""
 
     type: Literal["enough"] = "enough"
     attempt: Attempt
@@ -211,7 +212,7 @@ class Enough(InsertionMessage):
 
 
 class Refused(InsertionMessage):
-    """Not armed: no descent. What has turned in the hand is regrasped, in an insertion that ``continues`` this."""
+    """Not armed: no descent. An object that has turned is regrasped, in a new insertion that ``continues`` this one."""
 
     type: Literal["refused"] = "refused"
     attempt: Attempt
