@@ -120,7 +120,7 @@ def _short(reason: str) -> str:
 
 def trust_page(data: Row) -> str:
     every, by_fault = data["all"], {row["fault"]: row for row in data["faults"]}
-    wrong = wilson(every["claimed_wrongly"], every["insertions"])
+    wrong, insertions, claims = every["claimed_wrongly"], every["insertions"], every["claimed"]
     good = by_fault.get(WITHOUT, figures([]))
     truths = good["inserted"] + good["good_refused"]
     refused = wilson(good["good_refused"], truths)
@@ -128,15 +128,15 @@ def trust_page(data: Row) -> str:
         f"""
         # What a claim is worth, simulated
 
-        **{every["claimed_wrongly"]} claims were false: {wrong:.2%}** of {every["insertions"]} insertions, with the 95 %
-        Wilson interval. Its upper end is the largest rate that this many insertions leave possible.
+        **{wrong} of {claims} claims were false: {wilson(wrong, claims):.2%}**. That is {wilson(wrong, insertions):.2%}
+        of {insertions} insertions. The upper end of the 95 % Wilson interval is the largest rate left possible.
 
         Without a fault, {truths} insertions ended in the gap, and {good["good_refused"]} of those were not claimed:
         {refused:.1%}.
 
         Between the capture of a frame that was judged and the next judged frame, the arm descended by at most
-        {every["unseen_mm"]:.2f} mm, {every["unseen_share"]:.2f} of what its lease allows. The lease assumes that an arm
-        stops within 40 ms; the drawn arms take 10 to 80 ms.
+        {every["unseen_mm"]:.2f} mm, and in the worst case by {every["unseen_share"]:.2f} times what the lease allows at
+        its speed. The lease assumes that an arm stops within 40 ms; the drawn arms take 10 to 80 ms.
         """,
         *_untrue(data["untrue"]),
         """

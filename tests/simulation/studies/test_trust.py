@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from reporting.statistics import wilson
 from service.decision.models import ModelSet, load_models
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import insert
@@ -89,6 +90,7 @@ def test_false_claims_come_first_on_the_page_and_void_ones_count_as_neither():
         "fault that never came about": 1,
     }
     text = trust.trust_page(data)
-    assert "**1 claims were false: 1.00 % (0.18 .. 5.45)**" in text
-    assert "Without a fault, 97 insertions ended in the gap, and 1 of those were not claimed" in text.replace("\n", " ")
+    prose = text.replace("\n", " ")
+    assert f"**1 of 98 claims were false: {wilson(1, 98):.2%}**. That is 1.00 % (0.18 .. 5.45) of 100" in prose
+    assert "Without a fault, 97 insertions ended in the gap, and 1 of those were not claimed" in prose
     assert "| w: stuck, left | can | 7 | it is tilted |" in text
