@@ -50,7 +50,8 @@ print([m for m in sys.modules if m.split('.')[0] in {names!r}], 'websockets' in 
     assert done.stdout.strip() == "[] True"
 
 
-def test_it_stops_on_touch_corrects_once_and_inserts(cell):
+def corrected(cell, speed_mm_s: float) -> tuple[TinyArm, dict]:
+    """An insertion with one touch, and its arm. If a busy machine stops it late, it is held and repeated slower."""
     arm = TinyArm(touch=cell.touch)
     retract = arm.retract
 
@@ -60,8 +61,17 @@ def test_it_stops_on_touch_corrects_once_and_inserts(cell):
             finger.probe_started = None
 
     arm.retract = retract_and_rest
-    slowly = {"depth_mm": 2.5, "speed_mm_s": 0.5 * SLOW_MM_S}  # a stop that comes late on a busy machine hides a turn
-    finished = cell.insert(arm, **slowly)
+    try:
+        return arm, cell.insert(arm, depth_mm=2.5, speed_mm_s=speed_mm_s)
+    except controller.Held:
+        if speed_mm_s < 0.2 * SLOW_MM_S:
+            raise
+    cell.rest()
+    return corrected(cell, speed_mm_s / 2)
+
+
+def test_it_stops_on_touch_corrects_once_and_inserts(cell):
+    arm, finished = corrected(cell, 0.5 * SLOW_MM_S)
     assert (finished["type"], finished["outcome"]) == ("finished", "inserted")
     assert arm.grasped == 1
     assert len(arm.moves) == finished["attempts"] - 1 >= 1
