@@ -25,6 +25,7 @@ from simulation.scene.scene import Scene
 Array = NDArray[np.float64]
 
 SOFTNESS = 1.25  # local over smallest stiffness of the layer; 2 is where Richardson's iteration stops contracting
+STIFFER = 3.0  # the same where it does not settle: soft bristles let an object held at a corner buckle in mid-iteration
 MAX_ROUNDS, DEPTH = 150, 8
 
 
@@ -89,7 +90,7 @@ class LayerPads:
         if kernel is not None:
             self._shape = (2, kernel.grid.rows, kernel.grid.columns)
         self._crown, self._side, self._x = nodes["crown"].copy(), nodes["side"].copy(), nodes["x"].copy()
-        self._soft = self._softness(constants)  # mm3/N
+        self._constants, self._soft = constants, self._softness(constants)  # mm3/N
         constants["kt"], constants["kn"] = 1.0 / self._soft[0], 1.0 / self._soft[2]
         self.surface = np.zeros((*self._shape, 3))  # displacement, mm, finger frame
         self._anchors, self._creep, self._grasped = (np.zeros((*self._shape, 3)) for _ in range(3))
@@ -104,6 +105,13 @@ class LayerPads:
             return np.array([tangential, tangential, 1.0 / float(constants["kn"][0])])
         tangential, normal = self.kernel.largest_mm3_per_n
         return np.array([tangential + fingers, tangential + fingers, normal]) / SOFTNESS
+
+    def _stiffen(self, factor: float) -> None:
+        """Make the bristles stiffer by a factor; the tractions at rest stay."""
+        self._anchors = self.surface - (self.surface - self._anchors) / factor
+        self._nodes["sx"], self._nodes["sz"] = self._nodes["sx"] / factor, self._nodes["sz"] / factor
+        self._soft = self._soft / factor
+        self._constants["kt"], self._constants["kn"] = 1.0 / self._soft[0], 1.0 / self._soft[2]
 
     @property
     def relaxes(self) -> bool:
@@ -230,6 +238,10 @@ class LayerPads:
             return solve()
 
         status = self._settle(self.surface, again)
+        if self.unsettled and self.kernel is not None:
+            self._stiffen(STIFFER / SOFTNESS)
+            status = self._settle(self.surface, again)
+            self._stiffen(SOFTNESS / STIFFER)
         if self.unsettled:
             put_back()
             status = self._follow(solve)

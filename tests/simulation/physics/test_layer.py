@@ -121,6 +121,29 @@ def test_the_layers_equilibrium_is_as_exact_as_the_bristles() -> None:
     np.testing.assert_allclose(again, cell.layer.surface, atol=1e-9)
 
 
+def test_an_object_held_at_a_corner_keeps_its_equilibrium_while_it_is_pressed() -> None:
+    """Soft bristles let it buckle in mid-iteration, so the step has to be taken again with stiffer ones."""
+    scene = load_scene(
+        "rectangle",
+        object__shape="polygon",
+        object__vertices_mm=((30.0, -22.0), (30.0, 15.0), (0.0, 38.0), (-30.0, 15.0), (-30.0, -22.0)),
+        object__mass_kg=0.12,
+        blocks__gap_mm=64.0,
+        gel__tier="layer",
+        gel__poisson_ratio=0.48,
+        gel__margin_mm=(0.5, 0.5),
+        grasp__height_mm=30.0,
+    )
+    cell = QuasiStaticCell(scene)
+    cell.regrasp(7.1, -2.2)
+    for depth_mm in np.arange(0.2, 1.5, 0.2):  # at 1 mm it slides
+        state = cell.move_to(cell.pose[0], 0.0, 30.0 - depth_mm, math.degrees(cell.pose[3]))
+        assert state.residual_n <= 1e-6
+        assert state.in_contact
+        assert not cell.lost()
+    np.testing.assert_allclose(cell.layer.kernel(cell.layer._tractions()), cell.layer.surface, atol=1e-9)
+
+
 def test_the_layer_tier_refuses_what_it_cannot_be() -> None:
     with pytest.raises(SceneError, match=r"gel\.normal_ratio"):
         load_scene("rectangle", gel__tier="layer", gel__normal_ratio=1.0)
