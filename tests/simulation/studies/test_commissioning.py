@@ -1,11 +1,14 @@
 """A cell's wiring is checked before it learns, and a row has the same fields for every cell."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from simulation.closed_loop.statistics import Row
 from simulation.scene.worlds import World, load_objects
+from simulation.studies import commissioning
 from simulation.studies.commissioning import COUNTED, MISTAKES, VERSIONS, Cell, Plan, commission, mistaken
 from simulation.studies.commissioning_page import commissioning_page
 
@@ -54,3 +57,27 @@ def test_the_page_bears_a_run_that_only_asked_for_signs():
     text = commissioning_page({"note": "", "rows": rows})
     assert "0 of 1 good cells were accused" in text
     assert "1 of 1 mistakes were named" in text
+
+
+def test_an_adapted_network_that_cannot_be_exported_is_refused_and_the_cell_goes_on(tmp_path, monkeypatch):
+    from service.contract.shipped import released_models
+    from training.fit.checkpoint import Checkpoint
+
+    unvalidated = replace(Checkpoint.load(released_models() / "checkpoint.pt"), figures={})
+    call = commissioning._call
+
+    def adapt_accepts(package: str, *words: str) -> str:
+        if package == "export":
+            return call(package, *words)
+        options = dict(zip(words, words[1:], strict=False))
+        unvalidated.save(Path(options["--out"]) / "checkpoint.pt")
+        Path(options["--json"]).write_text(json.dumps({"accepted": True, "best": "all", "objections": []}))
+        return ""
+
+    monkeypatch.setattr(commissioning, "_call", adapt_accepts)
+    cell = Cell(World("cell"), load_objects(OBJECTS), tmp_path / "cell", 3)
+    plan = Plan(released_models() / "checkpoint.pt", released_models(), 0, 1, workers=1)
+    outcome, models = commissioning._adapted(cell, plan, "after_50", "probes", 0)
+    assert models is None
+    assert not outcome["accepted"]
+    assert "never validated" in outcome["objections"][0]
