@@ -53,10 +53,12 @@ class TactileFinger:
     def learn_open(self, frame: TactileFrame) -> str:
         """Take the frame as the open gel, touched by nothing; returns why that cannot be, or "".
 
-        A gel other than the calibrated one is refused: a swapped camera looks right by itself.
+        Its grid is followed from now on: a grid sought in a deformed gel may lack whole rows. A gel other than the
+        calibrated one is refused: a swapped camera looks right by itself.
         """
         image, _ = self._rectified(frame)
-        field = MarkerTracker().update(image, frame.captured_ns)
+        tracker = MarkerTracker()
+        field = tracker.update(image, frame.captured_ns)
         try:
             self._open.learn(field, shrunk(image))
         except ValueError as error:
@@ -65,6 +67,7 @@ class TactileFinger:
         alike = likeness(self._fingerprint, fingerprint_of(field))
         self.gel_distance = None if alike is None else 1.0 - alike
         if alike is None or alike >= OTHER_GEL or field.valid.sum() < TELLING_N:
+            self._tracker = tracker
             return ""
         return (
             f"this is not the gel that the camera was calibrated with (fingerprints {alike:.2f} alike, expected"

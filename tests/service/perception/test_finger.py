@@ -40,6 +40,22 @@ def test_the_live_state_says_no_contact_while_the_gel_is_untouched_and_hold_whil
     assert set(states[13:]) == {"no_contact"}
 
 
+def test_a_gel_that_hides_rows_when_it_is_gripped_keeps_the_grid_of_the_open_gel() -> None:
+    renderer = drawn.renderer("left")
+    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    assert finger.learn_open(TactileFrame("left", 0, 0, drawn.untouched("left"))) == ""
+    shapes = []
+    for k in range(1, 6):
+        pixels = drawn.raw("left", k, 10, 16).copy()
+        if k < 4:
+            pixels[:, : pixels.shape[1] // 3] = 90  # a third of the gel is stretched until nothing is round
+        shapes.append(finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, pixels)).field)
+    assert {field.valid.shape for field in shapes} == {(20, 21)}
+    assert shapes[0].valid[:, :4].mean() < 0.3, "what is hidden is not measured"
+    assert shapes[-1].valid.mean() > 0.9, "and is found again"
+    assert np.abs(shapes[-1].displacement_px[shapes[-1].valid]).max() < 0.6 * shapes[-1].pitch_px
+
+
 def test_an_empty_hand_is_not_armed(tmp_path) -> None:
     models = load_models(tiny_models.write_models(tmp_path / "m"))
     renderers = {finger: drawn.renderer(finger) for finger in ("left", "right")}

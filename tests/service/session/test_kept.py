@@ -92,6 +92,7 @@ def blocked_twice_and_in(talk: Talk) -> None:
 def learnt_open(talk: Talk) -> None:
     talk.says(wire.LearnOpen)
     talk.take(talk.session.on_pair(open_pair(0, talk.now_ns), talk.now_ns))
+    talk.now_ns += drawn.PERIOD_NS
     talk.goes_in(1)
 
 
@@ -99,6 +100,7 @@ def falls_out(talk: Talk) -> None:
     learnt = open_pair(0, talk.now_ns)
     talk.says(wire.LearnOpen)
     talk.take(talk.session.on_pair(learnt, talk.now_ns))
+    talk.now_ns += drawn.PERIOD_NS
     talk.arms(1)
     for _ in talk.shows(0, 6):
         pass

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -69,7 +70,7 @@ def test_an_adapted_network_that_cannot_be_exported_is_refused_and_the_cell_goes
     def adapt_accepts(package: str, *words: str) -> str:
         if package == "export":
             return call(package, *words)
-        options = dict(zip(words, words[1:], strict=False))
+        options = dict(pairwise(words))
         unvalidated.save(Path(options["--out"]) / "checkpoint.pt")
         Path(options["--json"]).write_text(json.dumps({"accepted": True, "best": "all", "objections": []}))
         return ""
