@@ -23,6 +23,8 @@ _WINDOW = np.ones((3, 3), np.uint8)
 _LEAST_N = 9  # spots required for a placement
 _BETTER = 0.05  # least difference of misfit between two placements that counts
 _STRAY = 0.5 * _CAP  # of a spot without a node
+_QUARTERS = ((2, 2), (1, 1), (3, 3), (1, 3), (3, 1))  # of rows and columns: the middle of the grid and of its quarters
+_NEARLY_ALL = 0.9  # of the spots
 _STEPS = np.array(
     sorted(((col, row) for row in range(-3, 4) for col in range(-3, 4)), key=lambda step: np.hypot(*step))
 )
@@ -170,8 +172,7 @@ def reindex(
     basis = lattice_basis(points, like)
     if basis is None:
         return prior
-    seed = int(np.square(points - previous.reshape(-1, 2).mean(0)).sum(1).argmin())
-    index, reached = flood(points, basis, seed)
+    seed, index, reached = _widest_flood(points, basis, previous)
     if reached.sum() < _LEAST_N:
         return prior
 
@@ -202,6 +203,26 @@ def reindex(
     spread, _ = fill_gaps(best.xy_px, best.valid)
     full = match(spread, rest, points, pitch, view, previous)
     return full if full.valid.sum() > best.valid.sum() else best
+
+
+def _widest_flood(
+    points: FloatArray, basis: FloatArray, previous: FloatArray
+) -> tuple[int, NDArray[np.intp], BoolArray]:
+    """The seed in the middle or in a quarter of the grid whose flood reaches most spots, and its `flood`.
+
+    A flood that begins on a bulge, where the grid is stretched, soon ends.
+    """
+    rows, cols = previous.shape[:2]
+    best = 0, np.zeros((len(points), 2), np.intp), np.zeros(len(points), np.bool_)
+    for row, col in _QUARTERS:
+        place = previous[rows * row // 4, cols * col // 4]
+        seed = int(np.square(points - place).sum(1).argmin())
+        index, reached = flood(points, basis, seed)
+        if reached.sum() > best[2].sum():
+            best = seed, index, reached
+        if best[2].mean() > _NEARLY_ALL:
+            break
+    return best
 
 
 def _fit_n(cells: NDArray[np.intp], steps: NDArray[np.intp], shape: tuple[int, ...]) -> list[int]:

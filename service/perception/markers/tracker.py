@@ -13,6 +13,7 @@ from service.perception.markers.matching import Match, View, match, reindex
 
 _AROUND = [np.array([col, row], np.float32) for col in (-1, 0, 1) for row in (-1, 0, 1) if col or row]
 _JUMP = 0.35  # pitch between two frames from which the true motion could be a whole pitch less, backwards
+_STILL = 0.1  # pitch between two frames, below which the grid stands still
 _AS_WELL = 15.0  # misfit of a row or column of nodes; one without spots, at the border, costs more than twice that
 _LEAP = 0.5  # pitch between two frames, beyond which the match must be as good as usual
 _DOUBTFUL = 5.0  # misfit per node above the running level
@@ -186,7 +187,27 @@ class MarkerTracker:
             best = min(best, moving, key=lambda rival: rival.misfit)
         if _whole(best, len(points)):
             return best  # every marker in its place and few surplus: a step off would lose a border row
-        return reindex(points, rest, pitch, view, self._xy, best, self._level + _SETTLED)
+        found = reindex(points, rest, pitch, view, self._xy, best, self._level + _SETTLED)
+        return best if self._jumps_in_vain(best, found, len(points), view) else found
+
+    def _jumps_in_vain(self, best: Match, found: Match, spots_n: int, view: View) -> bool:
+        """Whether the grid stands still by one placement, and by the other, ``found``, jumps and leaves its gaps.
+
+        Hidden markers at a border look like a jump that carried them out of the picture. But few jumps are of a whole
+        pitch to a tenth, and one that leaves most of the gaps explains nothing.
+        """
+        assert self._lattice is not None
+        pitch, (stays, jumps) = (
+            self._lattice.pitch_px,
+            (_step(one.xy_px - self._xy, one.valid) for one in (best, found)),
+        )
+        if np.hypot(*stays) >= _STILL * pitch or np.hypot(*jumps) <= _JUMP * pitch:
+            return False
+        left_n, gaps_n = (
+            int((view.contains(self._xy + step) & ~one.valid).sum()) + spots_n - int(one.valid.sum())
+            for one, step in ((found, jumps), (best, stays))
+        )
+        return 2 * left_n > gaps_n
 
     def _remember(self, best: Match, spots: Candidates, captured_ns: int) -> None:
         if self._last_ns is not None:
@@ -222,9 +243,14 @@ def _whole(match: Match, spots_n: int) -> bool:
     return match.torn_n == 0 and (match.valid.size - hits_n) + (spots_n - hits_n) <= _SPARE * min(match.valid.shape)
 
 
+def _step(steps: FloatArray, valid: BoolArray) -> FloatArray:
+    """The median step [2] in px of the valid nodes; 0 without any."""
+    return median(steps[valid]) if valid.any() else np.zeros(2, np.float32)
+
+
 def _typical(step: FloatArray, valid: BoolArray) -> float:
     """Length in px of the median step [rows, cols, 2] of the valid nodes."""
-    return float(np.linalg.norm(median(step[valid]))) if valid.any() else 0.0
+    return float(np.linalg.norm(_step(step, valid)))
 
 
 def _repeats(image: NDArray[np.uint8], before: NDArray[np.uint8]) -> bool:

@@ -103,6 +103,45 @@ def test_markers_keep_their_identity_over_a_jump(jump):
     assert identity(field, truth) >= 0.99
 
 
+def mistaken(field, truth):
+    """Share of the measured markers that are half a pitch or more from where they are."""
+    error = np.linalg.norm(field.rest_px + field.displacement_px - truth, axis=-1)
+    return float((error > 0.5 * field.pitch_px)[field.valid].mean())
+
+
+@pytest.mark.parametrize("hidden", [0.3, 0.4, 0.5])
+@pytest.mark.parametrize("side", [0, 1])
+def test_markers_hidden_at_a_border_are_no_jump_of_a_pitch(hidden, side):
+    rng = np.random.default_rng(7)
+    rest = grid()
+    tracker = MarkerTracker()
+    follow(tracker, [draw(rest, rng) for _ in range(3)])
+    covered = [draw(rest, rng) for _ in range(3)]
+    for image in covered:
+        columns = round(hidden * image.shape[1])
+        image[:, slice(None, columns) if side == 0 else slice(-columns, None)] = 90
+    for k, image in enumerate([*covered, draw(rest, rng)], 3):
+        field = tracker.update(image, k * FRAME_NS)
+        assert mistaken(field, rest) <= 0.01
+        assert field.valid.mean() > 0.95 - hidden
+    assert field.valid.mean() > 0.99
+
+
+def test_a_grip_that_stretches_the_middle_of_the_gel_carries_each_marker_along():
+    rng = np.random.default_rng(8)
+    rest = grid()
+    tracker = MarkerTracker()
+    follow(tracker, [draw(rest, rng)])
+    across, along = rest[..., 0] - 166.0, rest[..., 1] - 160.0  # of an edge that presses into the middle
+    pushed = 26.0 * np.sign(across) * (1 - np.exp(-np.abs(across) / 14.0)) * np.exp(-np.abs(across) / 60.0)
+    pushed *= np.exp(-np.square(along / 90.0) / 2)
+    assert np.abs(pushed).max() > 0.9 * 15.0, "by nearly a pitch"
+    truth = rest + np.stack([pushed, np.zeros_like(pushed)], -1)
+    field = tracker.update(draw(truth, rng), FRAME_NS)
+    assert field.valid.mean() > 0.95
+    assert mistaken(field, truth) <= 0.01
+
+
 @pytest.mark.parametrize("step_deg", [5.0, -5.0])
 def test_a_twist_of_sixty_degrees_is_followed_and_is_not_slip(step_deg):
     rng = np.random.default_rng(3)
