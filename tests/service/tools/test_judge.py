@@ -11,8 +11,8 @@ from tests.service.perception.real import real_data
 from tests.service.perception.synthetic import draw, grid
 
 KEYS = {
-    "run", "frames_n", "contact_frame", "hold_frame", "slip_frame", "lost_frame", "released_frame", "borne_frames", "fingers",
-    "largest_score", "open_frame", "ambiguous_n", "refused_n", "ms_a_frame",
+    "run", "frames_n", "contact_frame", "hold_frame", "slip_frame", "lost_frame", "released_frame",
+    "borne_frames", "fingers", "largest_score", "open_frame", "ambiguous_n", "refused_n", "ms_a_frame",
 }  # fmt: skip
 
 
