@@ -35,6 +35,13 @@ class RunError(ValueError):
     """Recordings are not in the expected place."""
 
 
+class Felt(NamedTuple):
+    """`OpenGel.touch` and `OpenGel.load` of one frame."""
+
+    touch: float | None
+    load: Float64 | None
+
+
 @dataclass(slots=True)
 class FingerRun:
     """One finger's recording after perception, frame by frame; slip score and alarm come from its markers alone."""
@@ -46,31 +53,24 @@ class FingerRun:
     changes: list[ImprintChange | None] = field(default_factory=list)
     spent_s: float = 0.0
 
-    def felt(self, still: Rest | None) -> "list[Felt]":
+    def felt(self, still: Rest | None) -> list[Felt]:
         """What the gel feels in each frame, compared with the frame at rest.
 
         Unless it is open in that, it counts as touched wherever its markers are visible: an end cannot be shown then.
         """
-        seen: list[float | None] = [1.0 if markers.usable else None for markers in self.fields]
+        touches: list[float | None] = [1.0 if markers.usable else None for markers in self.fields]
         if still is None:
-            return [Felt(touch, None) for touch in seen]
+            return [Felt(touch, None) for touch in touches]
         begun, gel = time.process_time(), OpenGel()
         gel.learn(self.fields[still.frame], self.pictures[still.frame].astype(np.float32))
         if still.is_open:
-            seen = [
+            touches = [
                 gel.touch(markers, picture.astype(np.float32))
                 for markers, picture in zip(self.fields, self.pictures, strict=True)
             ]
-        felt = [Felt(touch, gel.load(markers)) for touch, markers in zip(seen, self.fields, strict=True)]
+        felt = [Felt(touch, gel.load(markers)) for touch, markers in zip(touches, self.fields, strict=True)]
         self.spent_s += time.process_time() - begun
         return felt
-
-
-class Felt(NamedTuple):
-    """`OpenGel.touch` and `OpenGel.load` of one frame."""
-
-    touch: float | None
-    load: Float64 | None
 
 
 def watched(clip: Path) -> FingerRun:

@@ -42,19 +42,19 @@ def test_the_open_frame_is_found_before_a_grasp_and_after_one(seed):
     rng = np.random.default_rng(seed)
     before = [0.0] * 20 + [0.3, 0.6] + [1.0] * 60
     for story in (before, [*before[::-1], *[0.0] * 20]):
-        found = at_rest(story, rng)
-        assert found is not None
-        assert found.is_open
-        assert story[found.frame] == 0.0
+        still = at_rest(story, rng)
+        assert still is not None
+        assert still.is_open
+        assert story[still.frame] == 0.0
 
 
 def test_a_gel_touched_all_along_is_not_called_open_even_where_the_touch_walks_away_and_comes_back():
     rng = np.random.default_rng(4)
     assert not at_rest([1.0] * 60, rng, walk_px=3.0).is_open
     lighter = [1.0] * 20 + [0.4] * 20 + [1.0] * 20
-    found = at_rest(lighter, rng, dome=2.0)
-    assert not found.is_open
-    assert lighter[found.frame] == 0.4, "the zero of the loads is where they are least"
+    still = at_rest(lighter, rng, dome=2.0)
+    assert not still.is_open
+    assert lighter[still.frame] == 0.4, "the zero of the loads is where they are least"
 
 
 def test_a_lens_and_a_camera_at_an_angle_leave_a_print_regular():

@@ -84,8 +84,8 @@ def test_an_imprint_that_walks_is_no_hold_and_one_that_moves_nowhere_no_slide():
 
 def test_an_alarm_while_something_else_bears_the_object_or_of_empty_gels_does_not_count():
     def counted(**how):
-        judged = [row("can_7_slip", **how) if one["run"] == "can_7_slip" else one for one in rows()]
-        return figures(judged, LABELS, evidence())["witness"]["witness_warned"]["hits"]
+        changed = [row("can_7_slip", **how) if one["run"] == "can_7_slip" else one for one in rows()]
+        return figures(changed, LABELS, evidence())["witness"]["witness_warned"]["hits"]
 
     assert counted(lost=62) == counted(released=62) == 2
     assert counted(lost=62, borne=range(40, 60)) == 1
@@ -94,9 +94,9 @@ def test_an_alarm_while_something_else_bears_the_object_or_of_empty_gels_does_no
 
 
 def test_ends_are_counted_as_lost_or_released():
-    judged = [row("box_5_hold", released=91) if one["run"] == "box_5_hold" else one for one in rows()]
-    judged[0] = row("box_1_slip", released=62)
-    result = figures(judged, LABELS, evidence())
+    changed = [row("box_5_hold", released=91) if one["run"] == "box_5_hold" else one for one in rows()]
+    changed[0] = row("box_1_slip", released=62)
+    result = figures(changed, LABELS, evidence())
     names = ("lost", "lost_of_held", "released_of_emptied", "released_of_lost")
     assert [result[name]["hits"] for name in names] == [2, 0, 1, 1]
 

@@ -12,15 +12,15 @@ TOUCHED, EMPTY = (3.0, 2.0), (0.3, 0.2)
 def phases_of(loads, slips=(), emptied=4):
     """Phases of two touched gels under these loads [frames], which are empty afterwards."""
     phases = GraspPhases()
-    told = [phases.update(TOUCHED, slips=k in slips, loads=[load, load]) for k, load in enumerate(loads)]
-    return told + [phases.update(EMPTY, slips=False, loads=[NONE, NONE]) for _ in range(emptied)]
+    history = [phases.update(TOUCHED, slips=k in slips, loads=[load, load]) for k, load in enumerate(loads)]
+    return history + [phases.update(EMPTY, slips=False, loads=[NONE, NONE]) for _ in range(emptied)]
 
 
 def test_an_object_that_is_put_down_and_let_go_is_released():
-    told = phases_of([DOWN] * 12 + [UP] * 4)
-    assert told[15] == "hold"
-    assert told.index("released") - 16 <= 2
-    assert "lost" not in told
+    history = phases_of([DOWN] * 12 + [UP] * 4)
+    assert history[15] == "hold"
+    assert history.index("released") - 16 <= 2
+    assert "lost" not in history
 
 
 @pytest.mark.parametrize(
@@ -66,10 +66,10 @@ def test_the_next_grasp_begins_anew():
     phases = GraspPhases()
     for load in [DOWN] * 12 + [UP] * 4:
         phases.update(TOUCHED, slips=False, loads=[load, load])
-    told = [phases.update(EMPTY, slips=False, loads=[NONE, NONE]) for _ in range(3)]
-    told += [phases.update(TOUCHED, slips=False, loads=[UP, UP]) for _ in range(8)]
-    told += [phases.update(EMPTY, slips=False, loads=[NONE, NONE]) for _ in range(3)]
-    assert [told[2], told[10], told[-1]] == ["released", "hold", "lost"]
+    history = [phases.update(EMPTY, slips=False, loads=[NONE, NONE]) for _ in range(3)]
+    history += [phases.update(TOUCHED, slips=False, loads=[UP, UP]) for _ in range(8)]
+    history += [phases.update(EMPTY, slips=False, loads=[NONE, NONE]) for _ in range(3)]
+    assert [history[2], history[10], history[-1]] == ["released", "hold", "lost"]
 
 
 def test_without_loads_as_in_a_live_session_an_emptied_hand_is_lost():
