@@ -9,7 +9,7 @@ from pathlib import Path
 
 import cv2
 
-from service.tools.judge import report_of, runs_of
+from service.tools.judge import PHASES, report_of, runs_of
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str]) -> int:
         if len(row["fingers"]) < 2:
             print(f"{folder.name}: one finger's video alone: whether the object slides is not known", file=sys.stderr)
         evidence[row["run"]] = run.evidence
-        phases = ", ".join(f"{name} {row[f'{name}_frame']}" for name in ("contact", "hold", "slip", "lost"))
+        phases = ", ".join(f"{name} {row[f'{name}_frame']}" for name in PHASES[1:])
         print(f"{row['run']:<32} {row['frames_n']:>4} frames: {phases}; {row['ms_a_frame']:.1f} ms a frame")
         options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     if options.evidence is not None:
@@ -43,7 +43,9 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
-    description = "judge recorded grasps, a folder of one video a finger each: open, contact, hold, slip, lost"
+    description = (
+        "judge recorded grasps, a folder of one video a finger each: open, contact, hold, slip, lost, released"
+    )
     parser = argparse.ArgumentParser(prog="tactile-insertion judge", description=description)
     parser.add_argument("folder", type=Path, help="folder of runs, or of folders of runs")
     parser.add_argument("--json", type=Path, dest="out", default=Path("runs/judge.json"), help="file for the rows")

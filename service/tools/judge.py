@@ -1,14 +1,14 @@
 """Judges recorded grasps run by run, with the live detector: tracker, grasp watch, open gel, phases.
 
 A run is a folder with one video per finger. A recording does not state the open gel before the grasp, so it is sought
-in the run's own frames (`open_frame`). That choice uses the whole run; everything after it uses only earlier frames.
+in the run's own frames (`rest`). That choice uses the whole run; everything after it uses only earlier frames.
 """
 
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,19 +19,27 @@ from service.perception.markers.tracker import MarkerTracker
 from service.perception.slip.grasp import GraspWatch
 from service.perception.slip.imprint import ImprintChange, ImprintWatch
 from service.perception.slip.open_gel import OpenGel, shrunk
-from service.perception.slip.phases import Grasp, Phase
+from service.perception.slip.phases import ENDED, Grasp, Phase
+from service.perception.slip.rigid import Float64
 from service.perception.slip.slide import SlideWitness, slide_score
-from service.tools.open_frame import open_frame
+from service.tools.open_frame import Rest, rest
 
 FRAME_NS = 125_000_000  # headers are wrong about the rate; these sensors deliver about eight frames per second
 VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm"}
-PHASES: tuple[Phase, ...] = ("open", "contact", "hold", "slip", "lost")
+PHASES: tuple[Phase, ...] = ("open", "contact", "hold", "slip", "lost", "released")
 _LEAST_PX = 64
 _BUFFERED_N = 16  # first frames, in which a camera may still deliver pictures of an earlier grasp
 
 
 class RunError(ValueError):
     """Recordings are not in the expected place."""
+
+
+class Felt(NamedTuple):
+    """`OpenGel.touch` and `OpenGel.load` of one frame."""
+
+    touch: float | None
+    load: Float64 | None
 
 
 @dataclass(slots=True)
@@ -45,21 +53,24 @@ class FingerRun:
     changes: list[ImprintChange | None] = field(default_factory=list)
     spent_s: float = 0.0
 
-    def touches(self, opened: int | None) -> list[float | None]:
-        """Strength of the touch on the gel in each frame, compared with the open one.
+    def felt(self, still: Rest | None) -> list[Felt]:
+        """What the gel feels in each frame, compared with the frame at rest.
 
-        Without an open frame, it counts as touched wherever its markers are visible: a loss cannot be shown then.
+        Unless it is open in that, it counts as touched wherever its markers are visible: an end cannot be shown then.
         """
-        if opened is None:
-            return [1.0 if markers.usable else None for markers in self.fields]
+        touches: list[float | None] = [1.0 if markers.usable else None for markers in self.fields]
+        if still is None:
+            return [Felt(touch, None) for touch in touches]
         begun, gel = time.process_time(), OpenGel()
-        gel.learn(self.fields[opened], self.pictures[opened].astype(np.float32))
-        touches = [
-            gel.touch(markers, picture.astype(np.float32))
-            for markers, picture in zip(self.fields, self.pictures, strict=True)
-        ]
+        gel.learn(self.fields[still.frame], self.pictures[still.frame].astype(np.float32))
+        if still.is_open:
+            touches = [
+                gel.touch(markers, picture.astype(np.float32))
+                for markers, picture in zip(self.fields, self.pictures, strict=True)
+            ]
+        felt = [Felt(touch, gel.load(markers)) for touch, markers in zip(touches, self.fields, strict=True)]
         self.spent_s += time.process_time() - begun
-        return touches
+        return felt
 
 
 def watched(clip: Path) -> FingerRun:
@@ -99,12 +110,12 @@ def report_of(folder: Path) -> RunReport:
     clips = clips_of(folder)
     fingers = [watched(clip) for clip in clips]
     frames_n = min(len(finger.fields) for finger in fingers)
-    opened = open_frame([finger.pictures for finger in fingers], [finger.fields for finger in fingers])
+    still = rest([finger.pictures for finger in fingers], [finger.fields for finger in fingers])
     evidence = _evidence(fingers, frames_n)
     slides = [terms is not None and bool(slide_score(terms) >= 0) for terms in evidence]
     statuses = [markers.status for finger in fingers for markers in finger.fields]
-    touches = [finger.touches(opened) for finger in fingers]
-    whole, *alone = _stories(fingers, touches, slides)
+    felt = [finger.felt(still) for finger in fingers]
+    whole, *alone = _stories(fingers, felt, slides)
     row = {
         "run": folder.name,
         "frames_n": frames_n,
@@ -113,7 +124,7 @@ def report_of(folder: Path) -> RunReport:
             clip.stem: {"frames_n": len(finger.fields), **story}
             for clip, finger, story in zip(clips, fingers, alone, strict=True)
         },
-        "open_frame": opened,
+        "open_frame": still.frame if still is not None and still.is_open else None,
         "ambiguous_n": statuses.count("ambiguous"),
         "refused_n": sum(status in {"lost", "no_grid", "duplicate"} for status in statuses),
         "ms_a_frame": 1e3 * sum(finger.spent_s for finger in fingers) / len(statuses),
@@ -132,21 +143,26 @@ def _evidence(fingers: Sequence[FingerRun], frames_n: int) -> list[NDArray[np.fl
 
 
 def _stories(
-    fingers: Sequence[FingerRun], touches: Sequence[list[float | None]], slides: Sequence[bool]
+    fingers: Sequence[FingerRun], felt: Sequence[Sequence[Felt]], slides: Sequence[bool]
 ) -> list[dict[str, Any]]:
     """For the grasp and each finger: the first frame of each phase, null if it never came, and the largest scores.
 
-    The grasp slips by the slide witness, a finger by its markers.
+    The grasp slips by the slide witness, a finger by its markers. ``borne_frames``: something else bore the object.
     """
     grasp = Grasp(len(fingers))
-    phases: list[list[Phase]] = [[] for _ in range(len(fingers) + 1)]
+    followed = [grasp.whole, *grasp.fingers]
+    phases: list[list[Phase]] = [[] for _ in followed]
+    borne: list[list[int]] = [[] for _ in followed]
     for k, slides_now in enumerate(slides):
-        grasp.update([touch[k] for touch in touches], [finger.slips[k] for finger in fingers], slides=slides_now)
-        for history, followed in zip(phases, [grasp.whole, *grasp.fingers], strict=True):
-            history.append(followed.phase)
+        touches, loads = zip(*(gel[k] for gel in felt), strict=True)
+        grasp.update(touches, [finger.slips[k] for finger in fingers], slides=slides_now, loads=loads)
+        for one, history, frames in zip(followed, phases, borne, strict=True):
+            history.append(one.phase)
+            if one.borne:
+                frames.append(k)
     return [
-        {**_firsts(history), "largest_score": _largest(history, whose)}
-        for history, whose in zip(phases, [fingers, *([finger] for finger in fingers)], strict=True)
+        {**_firsts(history), "borne_frames": frames, "largest_score": _largest(history, whose)}
+        for history, frames, whose in zip(phases, borne, [fingers, *([finger] for finger in fingers)], strict=True)
     ]
 
 
@@ -159,7 +175,7 @@ def _firsts(phases: list[Phase]) -> dict[str, int | None]:
     grasps = [phases[begin:end] for begin, end in zip(begins, [*begins, len(phases)][1:], strict=True)]
     order = sorted(
         range(len(grasps)),
-        key=lambda k: ("hold" not in grasps[k], "lost" in grasps[k][: max(0, _BUFFERED_N - begins[k])], k),
+        key=lambda k: ("hold" not in grasps[k], bool(ENDED & {*grasps[k][: max(0, _BUFFERED_N - begins[k])]}), k),
     )
     first: dict[str, int | None] = {f"{phase}_frame": None for phase in PHASES[1:]}
     for chosen in order[:1]:
@@ -172,7 +188,7 @@ def _firsts(phases: list[Phase]) -> dict[str, int | None]:
 
 
 def _begins(last: Phase, now: Phase) -> bool:
-    return now == "contact" and last in {"open", "lost"}
+    return now == "contact" and (last == "open" or last in ENDED)
 
 
 def _largest(phases: list[Phase], fingers: Sequence[FingerRun]) -> dict[str, float]:

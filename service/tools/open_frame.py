@@ -2,10 +2,11 @@
 
 Gels count as open only where the grids of all of them look regular (`regular`). Of such frames, the first ones are used
 that are about as regular and as smooth between their markers as any. A recording in which an object is held from the
-first frame to the last has none.
+first frame to the last has none; its least disturbed frame can still serve as the zero of the loads.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -28,8 +29,15 @@ _FIRST_N = 12  # frames after the first that looks open, of which the most open 
 Pictures = Sequence[NDArray[np.uint8]]
 
 
-def open_frame(pictures: Sequence[Pictures], fields: Sequence[Sequence[MarkerField]]) -> int | None:
-    """The frame in which all gels are open, None if there is none.
+class Rest(NamedTuple):
+    """The frame in which all gels are least disturbed, and whether they are open in it."""
+
+    frame: int
+    is_open: bool
+
+
+def rest(pictures: Sequence[Pictures], fields: Sequence[Sequence[MarkerField]]) -> Rest | None:
+    """The gels at rest; None if there is no frame to compare with others.
 
     ``pictures`` of each finger: shrunk, uint8 [h, w, channels]; ``fields``: the markers in the same frames.
     """
@@ -39,11 +47,14 @@ def open_frame(pictures: Sequence[Pictures], fields: Sequence[Sequence[MarkerFie
     for disturbance in (off, rough):
         disturbance[:, : min(_BUFFERED_N, frames_n - 1)] = np.inf
     disturbed = _calm(_beyond_least(off) + _beyond_least(rough))
-    looks_open = (disturbed <= disturbed.min() + _AS_OPEN) & (off.max(0) <= _REGULAR_PITCH)
-    if not looks_open.any():
+    resting = disturbed <= disturbed.min() + _AS_OPEN
+    looks_open = resting & (off.max(0) <= _REGULAR_PITCH)
+    is_open = bool(looks_open.any())
+    if not is_open and not np.isfinite(disturbed.min()):
         return None
-    first = int(looks_open.argmax())
-    return first + int(np.where(looks_open, disturbed, np.inf)[first : first + _FIRST_N].argmin())
+    among = looks_open if is_open else resting
+    first = int(among.argmax())
+    return Rest(first + int(np.where(among, disturbed, np.inf)[first : first + _FIRST_N].argmin()), is_open)
 
 
 def _beyond_least(disturbance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -31,7 +31,7 @@ _EXPOSED = 1.3  # times the open gel's light; beyond, the camera is still adjust
 # Limits from which a gel is touched, lengths in shares of the pitch.
 _SHADE_GREY = 4.5  # largest change in grey levels of all but the most changed part of the picture
 _SHADE_AREA = 0.02  # that part
-_HOME_PITCH = 0.018  # RMS, from a learnt frame; real gels return to 0.016, 2 N on a flat object move them by 0.02
+HOME_PITCH = 0.018  # RMS, from a learnt frame; real gels return to 0.016, 2 N on a flat object move them by 0.02
 _PRINT_PITCH = 0.012  # from a regular grid of free place, size and turn, exceeded from a press of 8 N on
 _WORN_PITCH = 0.06  # if a picture is known as well: real markers need not have returned completely
 _VALID_SHARE = 0.6  # share of the markers; fewer carry no information
@@ -73,7 +73,7 @@ class OpenGel:
         if picture is None or self._spanned is None:
             return bulge
         shade = self.shade(picture)
-        away_pitch = 0.0 if bulge is None else bulge * _HOME_PITCH
+        away_pitch = 0.0 if bulge is None else bulge * HOME_PITCH
         if shade is None or away_pitch > _SLID:
             return shade
         return max(shade, away_pitch / _WORN_PITCH)
@@ -97,11 +97,15 @@ class OpenGel:
         None: not visible, or no frame of the open gel was learnt. A stiff gel in a light grip may show this and no
         bulge.
         """
+        load = self.load(field)
+        return None if load is None else float(load[1]) / WEIGHT_PITCH
+
+    def load(self, field: MarkerField) -> Float64 | None:
+        """Mean displacement of all markers from the open gel, right and down, in pitches; None where `weight` is."""
         may = self._comparable(field)
         if self._home is None or may is None:
             return None
-        down_px = self._from_home(field, self._home, may)[:, 1].mean()
-        return float(down_px) / (WEIGHT_PITCH * field.pitch_px)
+        return np.asarray(self._from_home(field, self._home, may).mean(0) / field.pitch_px)
 
     def _bulge(self, field: MarkerField) -> float | None:
         may = self._comparable(field)
@@ -111,7 +115,7 @@ class OpenGel:
             now = (field.rest_px + field.displacement_px)[may].astype(np.float64)
             off, limit = off_print(np.argwhere(may).astype(np.float64), now), _PRINT_PITCH
         else:
-            off, limit = self._from_home(field, self._home, may), _HOME_PITCH
+            off, limit = self._from_home(field, self._home, may), HOME_PITCH
         return _spread(off) / (limit * field.pitch_px)
 
     def _comparable(self, field: MarkerField) -> NDArray[np.bool_] | None:

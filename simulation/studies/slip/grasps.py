@@ -37,6 +37,8 @@ def figures(rows: Sequence[Row], labels: Row, evidence: Row) -> dict[str, Any]:
         "runs": [_beside(slip) for slip in slips],
         "lost": share([_near(slip) for slip in lost]),
         "emptied": len(emptied),
+        "released_of_emptied": share([row["released_frame"] is not None for row in holds if row["run"] in emptied]),
+        "released_of_lost": share([slip["row"]["released_frame"] is not None for slip in lost]),
         "lost_of_held": share([row["lost_frame"] is not None for row in holds]),
         "lost_of_held_to_the_end": share([row["lost_frame"] is not None for row in shown]),
         "warned": share([_warned(slip["row"]["slip_frame"], slip) for slip in visible]),
@@ -90,6 +92,7 @@ def _beside(slip: Row) -> dict[str, Any]:
         "lost": label["lost"],
         **{name: row[f"{name}_frame"] for name in ("contact", "hold", "slip")},
         "told_lost": row["lost_frame"],
+        "released": row["released_frame"],
     }
 
 
@@ -101,8 +104,8 @@ def grasps_page(data: Row) -> str:
         # Real grasps
 
         {_of(left_out["witness_warned"])} visible slides were detected at least {AHEAD_N} frames before the loss. The
-        target is 60 %. {_of(data["lost_of_held"])} held runs were reported as lost,
-        {_of(data["lost_of_held_to_the_end"])} of those whose gels stay in contact.
+        target is 60 %. {_of(left_out["witness_false_anywhere"])} held runs alarmed, and {_of(data["lost_of_held"])}
+        were reported as lost, {_of(data["lost_of_held_to_the_end"])} of those whose gels stay in contact.
         """,
         table(
             [
@@ -144,7 +147,7 @@ def _notes(data: Row, left_out: Row) -> str:
           run of the object. The limit is the one at which {witness.FALSE_RUNS} held runs of the other objects alarm.
           "Too far" means {witness.FURTHER:g} times the longest travel in any held run of the others. The inputs of the
           witness and the limits of the open gel were chosen with all runs in view. An alarm counts as in a row of
-          `service judge`, while the grasp is held.
+          `service judge`, while the grasp is held and nothing but the fingers bears the object.
         - **Evidence.** The witness has more evidence in the last 2 s before a loss than in 2 s of a held run with a
           probability of {left_out["auc"]:.2f}. It alarms in {left_out["false_frames_per_1000"]:.2f} of 1,000 held
           frames, and detected {left_out["early"]} of the slides before their labelled start.
@@ -163,11 +166,13 @@ def _notes(data: Row, left_out: Row) -> str:
           {_kind(left_out, "long")} in those of 450 frames, most of which begin in a grip. The witness uses the strength
           of the grip, which differs between the two kinds, so compare within one kind only.
         - **Loss and release look alike.** In {data["emptied"]} runs labelled as held, both gels are empty at the end,
-          because the object was put down or let go. Without the state of the gripper that counts as a loss, and often
-          as a slide right before. A live session knows whether it commanded a release. No run whose object stays may be
-          reported as lost.
+          because the object was put down or let go. An end counts as released if the load on a gel reversed before
+          ([decision 190](decisions/0190-a-reversed-load-is-a-release.md)); otherwise as a loss. A live session knows
+          whether it commanded a release, and calls every other end a loss. No run whose object stays may be reported
+          as lost.
         - **An open gel is not always recorded.** {data["without_open_frame"]} held runs contain no frame of one, and
-          the object counts as held throughout. A live session learns its gels before each grasp.
+          the object counts as held throughout; the loads are compared with the least disturbed frame. A live session
+          learns its gels before each grasp.
         - **Many held objects slide, too:** tubes and screwdrivers turn in the hand. Their alarms count as false here.
           Alarms with the object held out: {", ".join(left_out["false_runs"]) or "none"}.
         - **No look-ahead.** The length of a recording is not evidence: nothing is compared between runs, and no phase
@@ -193,7 +198,9 @@ _QUESTIONS = (
     ("the same, markers only", "slip_of_held_by_markers", ""),
     ("held run reported as lost, including putting down and letting go", "lost_of_held", "1 of 66"),
     ("held run reported as lost although the gels are touched to the end", "lost_of_held_to_the_end", "1 of 66"),
+    ("object put down or let go reported as released", "released_of_emptied", ""),
     ("loss detected within 3 frames", "lost", "90 %"),
+    ("loss reported as released", "released_of_lost", ""),
 )
 _COLUMNS = (
     ("label: slide", "slide"),
@@ -202,6 +209,7 @@ _COLUMNS = (
     ("hold", "hold"),
     ("slip", "slip"),
     ("lost", "told_lost"),
+    ("released", "released"),
 )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from service.perception.slip.phases import EMPTY_N, ENDED
 from service.perception.slip.slide import READ_N, TERMS, slide_score
 
 Row = Mapping[str, Any]
@@ -29,7 +30,8 @@ _ROUNDS, _POSITIVE_N, _NEGATIVE_N, _EVERY = 8, 2, 4, 25
 class Run:
     """One grasp's terms [frames, terms], the frames for fitting, and the start of its slide if it is lost.
 
-    ``live``: the frames in which a slide turns the phase to slip; ``before``: from where on an alarm is too late.
+    ``live``: the frames in which a slide turns the phase to slip, without those of ``borne``, in which something else
+    bears the object; ``before``: from where on an alarm is too late.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Run:
     end: int
     slide: int | None
     live: tuple[int, int]
+    borne: tuple[int, ...]
     before: int
 
     @property
@@ -46,7 +49,8 @@ class Run:
 
     def alarms(self, scores: Float64) -> NDArray[np.intp]:
         """Frames with an alarm."""
-        return np.arange(*self.live)[scores[slice(*self.live)] >= 0]
+        frames = np.arange(*self.live)[scores[slice(*self.live)] >= 0]
+        return frames[~np.isin(frames, self.borne)]
 
 
 def runs_of(rows: Sequence[Row], labels: Row, evidence: Mapping[str, Any]) -> list[Run]:
@@ -64,10 +68,16 @@ def runs_of(rows: Sequence[Row], labels: Row, evidence: Mapping[str, Any]) -> li
             emptied = labels["held"].get(name, {}).get("emptied") or len(terms)
             begin, end = hold if hold is not None and hold < 60 else SETTLED_N, emptied - LET_GO_N
         begin = max(begin, known + 1, 6)
-        over = len(terms) if row["lost_frame"] is None else row["lost_frame"]
-        live = (over, over) if hold is None else (hold + 1, over)
-        runs.append(Run(name, terms, begin, max(begin, end), label["slide"] if label else None, live, end))
+        live = (0, 0) if hold is None else (hold + 1, _over(row, len(terms)))
+        slide = label["slide"] if label else None
+        runs.append(Run(name, terms, begin, max(begin, end), slide, live, tuple(row["borne_frames"]), end))
     return runs
+
+
+def _over(row: Row, frames_n: int) -> int:
+    """The first empty frame of a grasp that has ended, or else the end of the recording."""
+    ends = [row[f"{end}_frame"] for end in ENDED if row[f"{end}_frame"] is not None]
+    return min([end - EMPTY_N + 1 for end in ends], default=frames_n)
 
 
 def fitted(runs: Sequence[Run]) -> Float64:

@@ -91,19 +91,23 @@ def weight_alone() -> np.ndarray:
     return down
 
 
-@pytest.mark.parametrize("grasp", [gripped, weight_alone])
-def test_an_emptied_hand_stops_the_arm_within_three_frames(grasp, tmp_path) -> None:
+@pytest.mark.parametrize(
+    ("grasp", "pushed_pitch"), [(gripped, 0.0), (weight_alone, 0.0), (gripped, 0.1)], ids=["grip", "weight", "pushed"]
+)
+def test_an_emptied_hand_stops_the_arm_within_three_frames(grasp, pushed_pitch, tmp_path) -> None:
+    """Even if the object was pushed up before, as one is that is put down."""
     models = load_models(tiny_models.write_models(tmp_path / "m"))
     renderers = {finger: drawn.renderer(finger) for finger in ("left", "right")}
     calibration = Calibration(*(renderers[finger].calibration for finger in ("left", "right")))
-    held = grasp()
+    held, pushed = grasp(), np.zeros(3, np.float32)
+    pushed[1] = pushed_pitch * Sensor.load().marker_pitch_mm
     session = make_session(models, calibration)
     messages: dict[int, list[str]] = {}
     session.handle(wire.ClientHello(insertion_id="drop", client="test"), 0)
     session.handle(wire.LearnOpen(insertion_id="drop"), 0)
     for index in range(9):
         stamp_ns = index * drawn.PERIOD_NS
-        gels = held if 1 <= index < 5 else np.stack([FREE, FREE])
+        gels = held + pushed * (1 if index < 3 else -1) if 1 <= index < 5 else np.stack([FREE, FREE])
         frames = (
             TactileFrame(finger, index, stamp_ns, renderers[finger].raw(gel, index))
             for finger, gel in zip(("left", "right"), gels, strict=True)

@@ -11,13 +11,16 @@ from tests.service.perception.real import real_data
 from tests.service.perception.synthetic import draw, grid
 
 KEYS = {
-    "run", "frames_n", "contact_frame", "hold_frame", "slip_frame", "lost_frame", "fingers", "largest_score",
-    "open_frame", "ambiguous_n", "refused_n", "ms_a_frame",
+    "run", "frames_n", "contact_frame", "hold_frame", "slip_frame", "lost_frame", "released_frame",
+    "borne_frames", "fingers", "largest_score", "open_frame", "ambiguous_n", "refused_n", "ms_a_frame",
 }  # fmt: skip
 
 
-def record(folder, touched, frames=48):
-    """Two fingers' clips: an object touches both from frame ``touched[0]`` to ``touched[1]``."""
+def record(folder, touched, frames=48, put_down=0):
+    """Two fingers' clips: an object touches both from frame ``touched[0]`` to ``touched[1]``.
+
+    It pulls the markers down; in its last ``put_down`` frames it pushes them up.
+    """
     folder.mkdir(parents=True)
     rng = np.random.default_rng(1)
     rest = grid(jitter=0.1)
@@ -29,7 +32,8 @@ def record(folder, touched, frames=48):
             str(folder / f"{name}.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25, (first.shape[1], first.shape[0])
         )
         for k in range(frames):
-            out.write(draw(bulged if touched[0] <= k < touched[1] else rest, rng))
+            pull = np.array([0.0, 1.0 if k < touched[1] - put_down else -1.0])
+            out.write(draw(bulged + pull if touched[0] <= k < touched[1] else rest, rng))
         out.release()
 
 
@@ -43,6 +47,15 @@ def test_the_phases_of_a_recorded_grasp_are_found(tmp_path):
     assert 18 < row["hold_frame"] < 28
     assert 38 <= row["lost_frame"] <= 40
     assert set(row["fingers"]) == {"camera_0", "camera_2"}
+
+
+def test_an_object_that_is_put_down_and_let_go_is_released_and_not_lost(tmp_path):
+    record(tmp_path / "runs" / "box_1_slip", (18, 38), put_down=4)
+    assert main(["judge", str(tmp_path / "runs"), "--json", str(tmp_path / "rows.json")]) == 0
+    (row,) = json.loads((tmp_path / "rows.json").read_text())
+    assert row["borne_frames"][:4] == [34, 35, 36, 37]
+    assert 38 <= row["released_frame"] <= 40
+    assert (row["slip_frame"], row["lost_frame"]) == (None, None)
 
 
 def test_a_folder_without_runs_is_refused_in_one_line(tmp_path, capsys):
@@ -97,3 +110,20 @@ def test_real_objects_that_leave_the_hand_are_lost(tmp_path):
     assert {name: abs(rows[name]["lost_frame"] - at) <= 3 for name, at in leaves_at.items()} == dict.fromkeys(
         leaves_at, True
     )
+
+
+@pytest.mark.real_data
+@pytest.mark.slow
+def test_real_objects_that_are_put_down_are_not_lost_and_do_not_slip(tmp_path):
+    """Gels empty by eye (`real_slips.json`); the avocado's left gel is never open, but shows that it is put down."""
+    root = tmp_path / "runs"
+    root.mkdir()
+    emptied = {"blue_mug_1_hold": 201, "blue_mug_3_hold": 190, "avocado_real_6_hold": None}
+    for name in emptied:
+        (root / name).symlink_to(real_data("gelsight_mini_slip") / name)
+    assert main(["judge", str(root), "--json", str(tmp_path / "rows.json")]) == 0
+    rows = {row["run"]: row for row in json.loads((tmp_path / "rows.json").read_text())}
+    assert {(row["slip_frame"], row["lost_frame"]) for row in rows.values()} == {(None, None)}
+    for name, frame in emptied.items():
+        assert frame is None or abs(rows[name]["released_frame"] - frame) <= 3
+    assert min(rows["avocado_real_6_hold"]["borne_frames"]) < 297, "the witness speaks from here on"

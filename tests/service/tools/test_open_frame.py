@@ -8,7 +8,7 @@ import pytest
 
 from service.perception.markers.field import MarkerField
 from service.perception.markers.regular import irregular_pitch
-from service.tools.open_frame import open_frame
+from service.tools.open_frame import rest
 from tests.service.perception.synthetic import grid
 
 LIGHT = np.add.outer(np.linspace(90, 150, 60), np.linspace(0, 20, 80))[..., None] * np.ones(3)
@@ -33,8 +33,8 @@ def finger(touched, rng, walk_px=0.0, dome=1.0):
     return pictures, fields
 
 
-def opened(story, rng, **how):
-    return open_frame(*zip(*[finger(story, rng, **how) for _ in range(2)], strict=True))
+def at_rest(story, rng, **how):
+    return rest(*zip(*[finger(story, rng, **how) for _ in range(2)], strict=True))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -42,15 +42,19 @@ def test_the_open_frame_is_found_before_a_grasp_and_after_one(seed):
     rng = np.random.default_rng(seed)
     before = [0.0] * 20 + [0.3, 0.6] + [1.0] * 60
     for story in (before, [*before[::-1], *[0.0] * 20]):
-        frame = opened(story, rng)
-        assert frame is not None
-        assert story[frame] == 0.0
+        still = at_rest(story, rng)
+        assert still is not None
+        assert still.is_open
+        assert story[still.frame] == 0.0
 
 
 def test_a_gel_touched_all_along_is_not_called_open_even_where_the_touch_walks_away_and_comes_back():
     rng = np.random.default_rng(4)
-    assert opened([1.0] * 60, rng, walk_px=3.0) is None
-    assert opened([1.0] * 20 + [0.4] * 20 + [1.0] * 20, rng, dome=2.0) is None
+    assert not at_rest([1.0] * 60, rng, walk_px=3.0).is_open
+    lighter = [1.0] * 20 + [0.4] * 20 + [1.0] * 20
+    still = at_rest(lighter, rng, dome=2.0)
+    assert not still.is_open
+    assert lighter[still.frame] == 0.4, "the zero of the loads is where they are least"
 
 
 def test_a_lens_and_a_camera_at_an_angle_leave_a_print_regular():

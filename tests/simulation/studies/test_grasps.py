@@ -18,8 +18,9 @@ LABELS = {
 }
 
 
-def row(run, slip=None, lost=None, opened=13, markers=None):
+def row(run, slip=None, lost=None, opened=13, markers=None, released=None, borne=()):
     frames = {"contact_frame": 20, "hold_frame": 30, "slip_frame": slip, "lost_frame": lost}
+    frames |= {"released_frame": released, "borne_frames": [*borne]}
     fingers = {"camera_0": {"slip_frame": None}, "camera_2": {"slip_frame": markers}}
     counts = {"ambiguous_n": 1, "ms_a_frame": 2.0}
     return {"run": run, "frames_n": 130, **frames, "open_frame": opened, "fingers": fingers, **counts}
@@ -81,12 +82,31 @@ def test_an_imprint_that_walks_is_no_hold_and_one_that_moves_nowhere_no_slide():
     assert warned(still=["can_7_slip"]) == warned() - 1
 
 
+def test_an_alarm_while_something_else_bears_the_object_or_of_empty_gels_does_not_count():
+    def counted(**how):
+        changed = [row("can_7_slip", **how) if one["run"] == "can_7_slip" else one for one in rows()]
+        return figures(changed, LABELS, evidence())["witness"]["witness_warned"]["hits"]
+
+    assert counted(lost=62) == counted(released=62) == 2
+    assert counted(lost=62, borne=range(40, 60)) == 1
+    assert counted(lost=45) == 1, "the first of the two empty frames is the first of the slide's evidence"
+    assert counted(lost=46) == 2
+
+
+def test_ends_are_counted_as_lost_or_released():
+    changed = [row("box_5_hold", released=91) if one["run"] == "box_5_hold" else one for one in rows()]
+    changed[0] = row("box_1_slip", released=62)
+    result = figures(changed, LABELS, evidence())
+    names = ("lost", "lost_of_held", "released_of_emptied", "released_of_lost")
+    assert [result[name]["hits"] for name in names] == [2, 0, 1, 1]
+
+
 def test_the_page_is_written_from_rows_and_labels_and_refuses_a_part(tmp_path, capsys):
     for name, content in (("rows", rows()), ("labels", LABELS), ("evidence", evidence())):
         (tmp_path / f"{name}.json").write_text(json.dumps(content))
     given = [f"--{name}={tmp_path}/{name}.json" for name in ("rows", "labels", "evidence")] + [f"--out={tmp_path}"]
     assert main(["grasps", *given]) == 0
-    assert "| box_2_slip | 40 | 60 | 20 | 30 | 58 | 70 |" in (tmp_path / "real_grasps.md").read_text()
+    assert "| box_2_slip | 40 | 60 | 20 | 30 | 58 | 70 | - |" in (tmp_path / "real_grasps.md").read_text()
     (tmp_path / "rows.json").write_text(json.dumps(rows()[1:]))
     assert main(["grasps", *given]) == 2
     assert "no rows of box_1_slip" in capsys.readouterr().err
