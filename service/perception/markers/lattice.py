@@ -35,19 +35,22 @@ class Lattice:
         return float(np.linalg.norm(self.basis_px, axis=1).mean())
 
 
-def flood(points: FloatArray, basis: FloatArray, seed: int) -> tuple[NDArray[np.intp], BoolArray]:
-    """Grid index (column, row) int [n, 2] of every point reachable from ``seed`` by lattice steps, and which are.
+def flood(
+    points: FloatArray, basis: FloatArray, seeds: NDArray[np.intp], cells: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], BoolArray]:
+    """Grid index (column, row) int [n, 2] of every point reachable by lattice steps, and which points are.
 
-    ``basis`` [2, 2] starts the local basis, which then follows the grid's deformation from node to node.
+    It begins at the points ``seeds`` [m], whose index is ``cells`` [m, 2]. ``basis`` [2, 2] starts the local basis,
+    which then follows the grid's deformation from node to node.
     """
     count = len(points)
     near = _neighbours(points)
     index = np.zeros((count, 2), np.intp)
     reached = np.zeros(count, np.bool_)
     local = np.repeat(basis[None].astype(np.float32), count, 0)
-    taken: set[tuple[int, ...]] = {(0, 0)}
-    reached[seed] = True
-    wave = np.array([seed])
+    taken = set(map(tuple, cells.tolist()))
+    reached[seeds], index[seeds] = True, cells
+    wave = seeds
     while wave.size:
         step = np.einsum("sa,nax->nsx", _STEPS.astype(np.float32), local[wave])
         off = (points[wave][:, None] + step)[:, :, None] - points[near[wave]][:, None]
@@ -160,7 +163,7 @@ def assemble(spots: Candidates, basis: FloatArray, diameter_px: float) -> Lattic
     best: tuple[NDArray[np.intp], BoolArray] | None = None
     middle = np.median(spots.xy_px, axis=0)
     for seed in np.argsort(np.square(spots.xy_px - middle).sum(1))[:40:8].tolist():
-        index, reached = flood(spots.xy_px, basis, seed)
+        index, reached = flood(spots.xy_px, basis, np.array([seed]), np.zeros((1, 2), np.intp))
         if best is None or reached.sum() > best[1].sum():
             best = (index, reached)
         if best[1].mean() > 0.7:

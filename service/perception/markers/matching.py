@@ -5,6 +5,7 @@ border, its gaps and the small irregularities of its nodes distinguish the two; 
 """
 
 from dataclasses import dataclass
+from operator import itemgetter
 
 import cv2
 import numpy as np
@@ -23,8 +24,8 @@ _WINDOW = np.ones((3, 3), np.uint8)
 _LEAST_N = 9  # spots required for a placement
 _BETTER = 0.05  # least difference of misfit between two placements that counts
 _STRAY = 0.5 * _CAP  # of a spot without a node
-_QUARTERS = ((2, 2), (1, 1), (3, 3), (1, 3), (3, 1))  # of rows and columns: the middle of the grid and of its quarters
-_NEARLY_ALL = 0.9  # of the spots
+_SWEEPS_N = 12
+_AT_HOME = 0.2  # pitch between two frames, below which a node stands still
 _STEPS = np.array(
     sorted(((col, row) for row in range(-3, 4) for col in range(-3, 4)), key=lambda step: np.hypot(*step))
 )
@@ -164,38 +165,39 @@ def reindex(
 ) -> Match:
     """Match by topology alone: link the spots to a grid, then find its shift in whole steps from the old one.
 
-    Survives jumps of up to three pitches, fast twists and bumps whose middle moved by nearly a pitch. Returns the best
-    of this and ``prior``. ``previous`` [rows, cols, 2] decides between placements that fit equally: the least motion
-    wins. A misfit below ``calm`` is that of a correct match: one step off leaves a border row without spots.
+    Survives jumps of up to three pitches, fast twists and bumps whose middle moved by more than a pitch. Returns the
+    best of this and ``prior``. ``previous`` [rows, cols, 2] decides between placements that fit equally: the least
+    motion wins. A misfit below ``calm`` is that of a correct match: one step off leaves a border row without spots.
     """
     like = np.stack([np.diff(previous, axis=1).mean((0, 1)), np.diff(previous, axis=0).mean((0, 1))])
     basis = lattice_basis(points, like)
     if basis is None:
         return prior
-    seed, index, reached = _widest_flood(points, basis, previous)
-    if reached.sum() < _LEAST_N:
-        return prior
 
-    def place(spot: NDArray[np.intp]) -> Match:
-        return score_match(spot, rest, points, pitch, view, previous)
+    def place(spot: NDArray[np.intp]) -> tuple[float, Match]:
+        rival = score_match(spot, rest, points, pitch, view, previous)
+        return rival.misfit + _motion(rival, previous, pitch), rival
 
+    grown = place(_grown(points, basis, previous, prior, pitch))[1]
+    bridged = place(nearest_spot(_bridged(grown, previous), points, _SEARCH * pitch))
+    best_score, best = min((prior.misfit + _motion(prior, previous, pitch), prior), bridged, key=itemgetter(0))
+    seed = int(np.square(points - previous.reshape(-1, 2).mean(0)).sum(1).argmin())
     # The grid cell of the seed under least motion; placements up to two steps off compete with it. Where none of them
     # fits a grid that is almost complete, it has jumped by three.
-    apart = np.square(previous.reshape(-1, 2) - points[seed]).sum(-1)
-    row0, col0 = divmod(int(apart.argmin()), rest.shape[1])
-    cells = index[reached] + np.array([col0, row0])
+    row_col = divmod(int(np.square(previous.reshape(-1, 2) - points[seed]).sum(-1).argmin()), rest.shape[1])
+    index, reached = flood(points, basis, np.array([seed]), np.array([row_col[::-1]]))
     spot_of = np.flatnonzero(reached)
-    best, best_score = prior, prior.misfit + _motion(prior, previous, pitch)
     for steps in (_NEAR, _FAR):
-        for step, fit_n in zip(steps, _fit_n(cells, steps, rest.shape[:2]), strict=True):
+        if best.misfit < calm or reached.sum() < _LEAST_N:
+            break
+        for step, fit_n in zip(steps, _fit_n(index[reached], steps, rest.shape[:2]), strict=True):
             least = _STRAY * (len(points) - fit_n) / rest[..., 0].size  # misfit if everything else were perfect
             if fit_n < _LEAST_N or least >= best_score - _BETTER:
                 continue
-            rival = place(_placed(cells + step, spot_of, rest.shape[:2]))
-            score = rival.misfit + _motion(rival, previous, pitch)
+            score, rival = place(_placed(index[reached] + step, spot_of, rest.shape[:2]))
             if score < best_score - _BETTER:
                 best, best_score = rival, score
-        if best.misfit < calm or reached.sum() < 0.6 * rest[..., 0].size:
+        if reached.sum() < 0.6 * rest[..., 0].size:
             break
     if best is prior:
         return prior
@@ -205,24 +207,26 @@ def reindex(
     return full if full.valid.sum() > best.valid.sum() else best
 
 
-def _widest_flood(
-    points: FloatArray, basis: FloatArray, previous: FloatArray
-) -> tuple[int, NDArray[np.intp], BoolArray]:
-    """The seed in the middle or in a quarter of the grid whose flood reaches most spots, and its `flood`.
+def _grown(points: FloatArray, basis: FloatArray, previous: FloatArray, prior: Match, pitch: float) -> NDArray[np.intp]:
+    """Spots of the nodes [rows, cols], -1 elsewhere, linked from the nodes that stand still and whose neighbours do.
 
-    A flood that begins on a bulge, where the grid is stretched, soon ends.
+    So a bulge is entered from all sides, and no row is lost where the gel is stretched.
     """
-    rows, cols = previous.shape[:2]
-    best = 0, np.zeros((len(points), 2), np.intp), np.zeros(len(points), np.bool_)
-    for row, col in _QUARTERS:
-        place = previous[rows * row // 4, cols * col // 4]
-        seed = int(np.square(points - place).sum(1).argmin())
-        index, reached = flood(points, basis, seed)
-        if reached.sum() > best[2].sum():
-            best = seed, index, reached
-        if best[2].mean() > _NEARLY_ALL:
-            break
-    return best
+    still = prior.valid & (_squared(prior.xy_px - previous) < (_AT_HOME * pitch) ** 2)
+    firm = cv2.erode(still.astype(np.uint8), _WINDOW) > 0
+    index, reached = flood(points, basis, prior.spot[firm], np.argwhere(firm)[:, ::-1])
+    return _placed(index[reached], np.flatnonzero(reached), prior.valid.shape)
+
+
+def _bridged(match: Match, previous: FloatArray) -> FloatArray:
+    """Positions [rows, cols, 2] of all nodes; those without a spot have moved as those around them, on average."""
+    moved = match.xy_px - previous
+    step, known = np.where(match.valid[..., None], moved, np.float32(0.0)), match.valid
+    for _ in range(_SWEEPS_N):
+        around = neighbour_mean(step, known)
+        known = known | (cv2.dilate(known.astype(np.uint8), _WINDOW) > 0)
+        step = np.where(match.valid[..., None], moved, around)
+    return np.asarray(previous + step, np.float32)
 
 
 def _fit_n(cells: NDArray[np.intp], steps: NDArray[np.intp], shape: tuple[int, ...]) -> list[int]:

@@ -191,17 +191,17 @@ class MarkerTracker:
         return best if self._jumps_in_vain(best, found, len(points), view) else found
 
     def _jumps_in_vain(self, best: Match, found: Match, spots_n: int, view: View) -> bool:
-        """Whether the grid stands still by one placement, and by the other, ``found``, jumps and leaves its gaps.
+        """Whether the grid stands still by one placement, and by the other, ``found``, jumps away and leaves its gaps.
 
         Hidden markers at a border look like a jump that carried them out of the picture. But few jumps are of a whole
         pitch to a tenth, and one that leaves most of the gaps explains nothing.
         """
         assert self._lattice is not None
-        pitch, (stays, jumps) = (
-            self._lattice.pitch_px,
-            (_step(one.xy_px - self._xy, one.valid) for one in (best, found)),
-        )
+        pitch, rest = self._lattice.pitch_px, self._lattice.xy_px
+        stays, jumps = (_step(one.xy_px - self._xy, one.valid) for one in (best, found))
         if np.hypot(*stays) >= _STILL * pitch or np.hypot(*jumps) <= _JUMP * pitch:
+            return False
+        if _typical(found.xy_px - rest, found.valid) < _typical(best.xy_px - rest, best.valid):
             return False
         left_n, gaps_n = (
             int((view.contains(self._xy + step) & ~one.valid).sum()) + spots_n - int(one.valid.sum())
