@@ -43,18 +43,18 @@ def processor() -> str:
 SAME_MACHINE = processor() == read("machine")["processor"]
 
 
-def agree(actual: Any, golden: Any, path: str = "", within: float = 1e-6) -> None:
-    """Equal in every figure: exactly on the recording machine, to ``within`` on another."""
+def agree(actual: Any, golden: Any, path: str = "", within: float = 1e-6, *, same: bool = SAME_MACHINE) -> None:
+    """Equal in every figure: exactly if made as on the recording machine, else to ``within``."""
     if isinstance(golden, dict):
         assert actual.keys() >= golden.keys(), path
         for key, value in golden.items():
-            if key != "sha256" or SAME_MACHINE:
-                agree(actual[key], value, f"{path}.{key}", within)
+            if key != "sha256" or same:
+                agree(actual[key], value, f"{path}.{key}", within, same=same)
     elif isinstance(golden, list):
         assert len(actual) == len(golden), path
         for index, value in enumerate(golden):
-            agree(actual[index], value, f"{path}[{index}]", within)
-    elif isinstance(golden, float) and not SAME_MACHINE:
+            agree(actual[index], value, f"{path}[{index}]", within, same=same)
+    elif isinstance(golden, float) and not same:
         assert actual == pytest.approx(golden, rel=within, abs=within), path
     else:
         assert actual == golden, path
@@ -133,7 +133,9 @@ def compare_insertions(rows: list[dict[str, Any]]) -> None:
         if row["job"]["who"] == "belief" or made["grasps"] > 1:
             # Since then a belief reckons with outlines, and an object that has turned in the hand is taken afresh.
             made, recorded = first_attempt(made), first_attempt(recorded)
-        agree(made, recorded, f"{row['job']['scene']}")
+        # Since then the tracker begins with the open gel: markers in pictures lie thousandths of a pixel elsewhere.
+        drawn = row["job"]["eyes"] == "pictures"
+        agree(made, recorded, f"{row['job']['scene']}", *([5e-3] if drawn else []), same=SAME_MACHINE and not drawn)
 
 
 def first_attempt(row: dict[str, Any]) -> dict[str, Any]:

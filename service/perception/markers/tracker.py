@@ -187,25 +187,25 @@ class MarkerTracker:
             best = min(best, moving, key=lambda rival: rival.misfit)
         if _whole(best, len(points)):
             return best  # every marker in its place and few surplus: a step off would lose a border row
-        found = reindex(points, rest, pitch, view, self._xy, best, self._level + _SETTLED)
-        return best if self._jumps_in_vain(best, found, len(points), view) else found
+        linked = reindex(points, rest, pitch, view, self._xy, best, self._level + _SETTLED)
+        return best if self._jumps_in_vain(best, linked, len(points), view) else linked
 
-    def _jumps_in_vain(self, best: Match, found: Match, spots_n: int, view: View) -> bool:
-        """Whether the grid stands still by one placement, and by the other, ``found``, jumps away and leaves its gaps.
+    def _jumps_in_vain(self, best: Match, linked: Match, spots_n: int, view: View) -> bool:
+        """Whether the grid stands still by one placement, and by ``linked`` jumps away and leaves its gaps.
 
         Hidden markers at a border look like a jump that carried them out of the picture. But few jumps are of a whole
         pitch to a tenth, and one that leaves most of the gaps explains nothing.
         """
         assert self._lattice is not None
         pitch, rest = self._lattice.pitch_px, self._lattice.xy_px
-        stays, jumps = (_step(one.xy_px - self._xy, one.valid) for one in (best, found))
+        stays, jumps = (_step(one.xy_px - self._xy, one.valid) for one in (best, linked))
         if np.hypot(*stays) >= _STILL * pitch or np.hypot(*jumps) <= _JUMP * pitch:
             return False
-        if _typical(found.xy_px - rest, found.valid) < _typical(best.xy_px - rest, best.valid):
+        if _typical(linked.xy_px - rest, linked.valid) < _typical(best.xy_px - rest, best.valid):
             return False
         left_n, gaps_n = (
             int((view.contains(self._xy + step) & ~one.valid).sum()) + spots_n - int(one.valid.sum())
-            for one, step in ((found, jumps), (best, stays))
+            for one, step in ((linked, jumps), (best, stays))
         )
         return 2 * left_n > gaps_n
 
