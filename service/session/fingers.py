@@ -68,12 +68,12 @@ class Fingers:
         whether the object is still held.
         """
         observations, before = self.both().fingers, self.grasp.whole.phase
-        if attempt.generation != self._grasped_in:  # arming has shown that something is held
+        if attempt.generation != self._grasped_in and attempt.reference:  # arming has shown that something is held
             self._grasped_in, self.grasp = attempt.generation, Grasp(len(FINGERS), "hold")
-            by_weight = self.both().looks_open
+            by_weight = attempt.reference.looks_open
             self._faint = {
                 finger.finger: WEIGHED_SHARE * (finger.bulge or 1.0) if by_weight else 1.0
-                for finger in observations
+                for finger in attempt.reference.fingers
                 if (finger.touch or 0.0) < 1.0
             }
         touches = [self._touch(finger) for finger in observations]

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from service.contract import ModelCard
 from service.decision.evidence import Density, Evidence, Refusal, check_strangeness, from_joint, from_pair
 from tests.service import tiny_models
 
@@ -14,16 +15,19 @@ GRID_X_MM, GRID_THETA_DEG = np.linspace(-20, 20, 161), np.linspace(-24, 24, 193)
 MEAN, SIGMA = (3.0, -4.0), (1.5, 2.5)
 
 
-def joint_evidence(temperature: float = 1.0) -> Evidence:
-    card = tiny_models.card(
+def joint_card(temperature: float = 1.0) -> ModelCard:
+    return tiny_models.card(
         "joint",
         "step",
         grid_x_mm=tuple(GRID_X_MM),
         grid_theta_deg=tuple(GRID_THETA_DEG),
         calibration={"temperature": temperature, "sigma_scale_x": 1.2, "sigma_scale_theta": 0.8},
     )
+
+
+def joint_evidence(temperature: float = 1.0) -> Evidence:
     off = ((GRID_X_MM - MEAN[0]) / SIGMA[0])[:, None], ((GRID_THETA_DEG - MEAN[1]) / SIGMA[1])[None]
-    return from_joint(card, {"log_density": -0.5 * (off[0] ** 2 + off[1] ** 2)[None]})
+    return from_joint(joint_card(temperature), {"log_density": -0.5 * (off[0] ** 2 + off[1] ** 2)[None]})
 
 
 @pytest.mark.parametrize("temperature", [1.0, 2.0])
@@ -32,6 +36,14 @@ def test_a_joint_density_states_its_mean_and_its_calibrated_standard_deviation(t
     wider = np.sqrt(temperature)
     assert evidence.error == pytest.approx(MEAN, abs=1e-3)
     assert evidence.sigma == pytest.approx((1.2 * SIGMA[0] * wider, 0.8 * SIGMA[1] * wider), rel=1e-3)
+
+
+def test_a_joint_density_on_a_single_cell_is_sure_to_a_micrometre_and_not_beyond() -> None:
+    certain = np.full((1, len(GRID_X_MM), len(GRID_THETA_DEG)), -1e3)
+    certain[0, 20, 30] = 0.0
+    evidence = from_joint(joint_card(), {"log_density": certain})
+    assert evidence.error == pytest.approx((GRID_X_MM[20], GRID_THETA_DEG[30]))
+    assert evidence.sigma == (1e-3, 1e-3)
 
 
 def test_a_classs_probability_is_the_share_of_draws_on_its_side() -> None:

@@ -92,10 +92,12 @@ def weight_alone() -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("grasp", "pushed_pitch"), [(gripped, 0.0), (weight_alone, 0.0), (gripped, 0.1)], ids=["grip", "weight", "pushed"]
+    ("grasp", "pushed_pitch", "gone"),
+    [(gripped, 0.0, 5), (weight_alone, 0.0, 5), (gripped, 0.1, 5), (gripped, 0.0, 2)],
+    ids=["grip", "weight", "pushed", "at once"],
 )
-def test_an_emptied_hand_stops_the_arm_within_three_frames(grasp, pushed_pitch, tmp_path) -> None:
-    """Even if the object was pushed up before, as one is that is put down."""
+def test_an_emptied_hand_stops_the_arm_within_three_frames(grasp, pushed_pitch, gone, tmp_path) -> None:
+    """Even if the object was pushed up before, as one is that is put down, or falls as soon as the attempt is armed."""
     models = load_models(tiny_models.write_models(tmp_path / "m"))
     renderers = {finger: drawn.renderer(finger) for finger in ("left", "right")}
     calibration = Calibration(*(renderers[finger].calibration for finger in ("left", "right")))
@@ -107,7 +109,7 @@ def test_an_emptied_hand_stops_the_arm_within_three_frames(grasp, pushed_pitch, 
     session.handle(wire.LearnOpen(insertion_id="drop"), 0)
     for index in range(9):
         stamp_ns = index * drawn.PERIOD_NS
-        gels = held + pushed * (1 if index < 3 else -1) if 1 <= index < 5 else np.stack([FREE, FREE])
+        gels = held + pushed * (1 if index < 3 else -1) if 1 <= index < gone else np.stack([FREE, FREE])
         frames = (
             TactileFrame(finger, index, stamp_ns, renderers[finger].raw(gel, index))
             for finger, gel in zip(("left", "right"), gels, strict=True)
@@ -119,5 +121,6 @@ def test_an_emptied_hand_stops_the_arm_within_three_frames(grasp, pushed_pitch, 
         if index == 1:
             session.handle(wire.Descending(insertion_id="drop", attempt=1, speed_mm_s=10.0), stamp_ns)
     assert messages[1] == ["armed"]
-    assert not any("part_lost" in messages[index] for index in range(5))
-    assert [index for index in range(9) if "part_lost" in messages[index]] == [6], "within three frames, and said once"
+    assert not any("part_lost" in messages[index] for index in range(gone))
+    lost = [index for index in range(9) if "part_lost" in messages[index]]
+    assert lost == [gone + 1], "within three frames, and said once"

@@ -188,3 +188,17 @@ def test_no_token_is_kept_in_a_recording(models: ModelSet, tmp_path: Path) -> No
     assert not {"token_watch", "token_drive", "token_admin"} & set(json.loads(attached["configuration.json"]))
     (recorded,) = tmp_path.glob("r/*/insertion.mcap")
     assert b"swordfish" not in recorded.read_bytes()
+
+
+def test_what_an_insertion_shows_of_the_cell_goes_into_its_charts_unless_a_person_ended_it(
+    models: ModelSet, tmp_path: Path
+) -> None:
+    cell = manager(models, tmp_path)
+    ended = {"insertion_id": "one", "object": "box", "attempts": 2, "brightness_grey": 130.0}
+    (tmp_path / "r").mkdir(exist_ok=True)
+    cell._chart({**ended, "outcome": "aborted"}, models)
+    assert not (tmp_path / "r" / "charts.json").exists()
+    cell._chart({**ended, "outcome": "inserted"}, models)
+    charts = json.loads((tmp_path / "r" / "charts.json").read_text())["charts"]
+    assert charts["light"]["learnt"] == {"box": [130.0]}
+    assert charts["trials"]["learnt"] == {"box": [2.0]}

@@ -39,6 +39,7 @@ def test_a_stream_that_falls_behind_is_stale():
     w.take(state(100, 400), 0.4 + 0.3)
     with pytest.raises(StreamFault, match="late"):
         w.check(state(100, 400))
+    assert w.statistics()["worst_age_ms"] == pytest.approx(300.0)
 
 
 def test_an_hour_of_clock_drift_is_not_lateness():
