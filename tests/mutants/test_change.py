@@ -29,6 +29,11 @@ def test_the_edge_itself_is_tried_between_whole_numbers_only(compared: str, both
     assert sum(field == "ops" for node, field, _ in changes(compare) if node is compare) == 1 + both
 
 
+def test_the_guard_of_a_zip_stays() -> None:
+    assert list(changes(ast.parse("zip(left, right, strict=True)"))) == []
+    assert len(list(changes(ast.parse("sorted(left, reverse=True)")))) == 1
+
+
 FORGETS = """
 import sys
 from robot_client.insertion import geometry, lease, machine

@@ -84,6 +84,8 @@ def test_the_arm_is_stopped_once_the_networks_have_seen_enough(made: Callable[..
     _, replies = first_attempt(models, **{"camera.fps": fps})
     assert answers(replies)[:2] == ["enough", "correction"]
     enough = next(message for message in replies if isinstance(message, wire.Enough))
+    decided = next(message for message in replies if isinstance(message, wire.Correction))
+    assert all(0.0 <= ms < 10_000.0 for ms in decided.latency_ms.values()), decided.latency_ms
     spacing_mm = 10.0 / fps
     assert wire.PRESS_MM <= enough.pressed_mm < wire.PRESS_MM + spacing_mm
 
@@ -128,6 +130,28 @@ def test_what_moves_the_markers_too_little_for_a_press_stops_nothing(
     monkeypatch.setattr(network_input, "FELT", 1e6)
     _, replies = first_attempt(made())
     assert answers(replies)[0] == "slip"
+
+
+def test_a_press_that_was_none_is_followed_by_the_next_one(made: Callable[..., ModelSet], monkeypatch) -> None:
+    """The markers' motion counts from the dismissed onset on, and the object's whole press is read again."""
+    felt, awaits, dismissed = network_input.FELT, Attempt._await_onset, []
+    monkeypatch.setattr(network_input, "FELT", 1e6)
+
+    def sags_once(attempt: Attempt) -> None:
+        newest = attempt.ring[-1]
+        awaits(attempt)
+        assert list(attempt.ring) == [newest]
+        dismissed.append((attempt, newest.captured_ns))
+        assert attempt.onset_ns is None
+        monkeypatch.setattr(network_input, "FELT", felt)
+
+    monkeypatch.setattr(Attempt, "_await_onset", sags_once)
+    _, replies = first_attempt(made())
+    assert answers(replies)[:2] == ["enough", "correction"]
+    ((attempt, dismissed_ns),) = dismissed
+    assert attempt.onset_ns >= dismissed_ns
+    assert all(pair.captured_ns >= dismissed_ns for pair in attempt.decision_pairs)
+    assert next(message for message in replies if isinstance(message, wire.Enough)).pressed_mm >= wire.PRESS_MM
 
 
 def test_a_speed_that_nobody_trained_for_is_refused_by_name(made: Callable[..., ModelSet]) -> None:
