@@ -71,8 +71,10 @@ def failing(copy: Copy, tests: set[str], timeout_s: float) -> set[str]:
     """Those of the tests that fail without any mutant, too."""
     left, bad = set(tests), set[str]()
     while left and (failed := copy.failure("", sorted(left), timeout_s)):
-        bad |= {failed} & left or left
-        left -= bad
+        if failed not in left:  # no test failed, as where a mutant has changed the name of one: ask for each
+            return bad | {test for test in left if copy.failure("", [test], timeout_s)}
+        bad.add(failed)
+        left.discard(failed)
     return bad
 
 
