@@ -196,26 +196,30 @@ class QuasiStaticCell:
     def _advance(self, target: Array, dt_s: float | None = None) -> None:
         """One load step, divided as necessary. Raises PhysicsError."""
         try:
-            self._divide(target, 0, dt_s, rescue=False)
+            return self._divide(target, 0, dt_s)
         except PhysicsError:
             # the only equilibrium may be far away: leap over what no short step passes, or else crawl through it
             for blend in EASED:
                 status = self._pass(target, dt_s, blend)
                 if status != load_step.STALLED:
                     return self._arrive(target, status)
-            self._divide(target, 0, dt_s, rescue=True)
+        try:
+            self._divide(target, 0, dt_s, last=EASED[-1])
+        except PhysicsError:
+            self._divide(target, 0, dt_s, each=load_step.EXACT)
 
-    def _divide(self, target: Array, depth: int, dt_s: float | None, *, rescue: bool) -> None:
-        status = self._pass(target, dt_s)
-        if status == load_step.STALLED and rescue and depth == MAX_HALVINGS:
-            status = self._pass(target, dt_s, EASED[-1])
+    def _divide(self, target: Array, depth: int, dt_s: float | None, *, each: float = 1.0, last: float = 1.0) -> None:
+        """Halve a load step until its parts settle; each, last: blend of every part, and of the shortest if stalled."""
+        status = self._pass(target, dt_s, each)
+        if status == load_step.STALLED and last < 1.0 and depth == MAX_HALVINGS:
+            status = self._pass(target, dt_s, last)
         if status == load_step.STALLED and self._drops():
             status = load_step.LOST
         if status == load_step.STALLED and depth < MAX_HALVINGS:
             middle = 0.5 * (self.pose + target)
             half_s = None if dt_s is None else 0.5 * dt_s
-            self._divide(middle, depth + 1, half_s, rescue=rescue)
-            self._divide(target, depth + 1, half_s, rescue=rescue)
+            self._divide(middle, depth + 1, half_s, each=each, last=last)
+            self._divide(target, depth + 1, half_s, each=each, last=last)
             return
         if status == load_step.STALLED:
             reason = self._why()
