@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 
 LOST_MM, LOST_GRIP, MAX_HALVINGS = 12.0, 0.1, 6
 PAUSE_SHARE, MOST_PAUSES = 0.25, 16  # step of a wait as a share of the relaxation time, and the most steps
+INSTANT_S = 1e-9  # a wait that is a rounding error: m / dt^2 then drowns all other forces
 EASED = 0.5, 0.02  # shares of a round by which friction limits follow where no shorter step helps
 
 
@@ -183,13 +184,15 @@ class QuasiStaticCell:
             return self._solve(target, blend)
         if dt_s is None:
             dt_s = duration_s(target - self.pose, self.pace_mm_s)
-        return self.layer.advance((self.record, self.slots), partial(self._solve, target, blend), dt_s)
+        solve, patient = partial(self._solve, target, blend), blend == load_step.EXACT
+        return self.layer.advance((self.record, self.slots), solve, dt_s, patient=patient)
 
     def _pass(self, target: Array, dt_s: float | None, blend: float = 1.0) -> int:
-        """One undivided load step; blend below 1: damp the friction limits where they jump."""
+        """One undivided load step; blend as in `load_step.advance`."""
         if self.coasting is None:
             return self._step(target, dt_s, blend)
         dt_s = self.coasting.duration_s(target - self.pose) if dt_s is None else dt_s
+        dt_s = 0.0 if blend == load_step.EXACT and dt_s < INSTANT_S else dt_s
         world = self.constants, self.trials, self._centre(), dt_s
         return self.coasting.step(*world, partial(self._step, target, dt_s, blend))
 
