@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from simulation.physics import layer_pads
 from simulation.physics.constants import BASE_K, scene_constants
 from simulation.physics.grasp import close_fingers
-from simulation.physics.inertia import coasting_of, duration_s
+from simulation.physics.inertia import INSTANT_S, coasting_of, duration_s
 from simulation.physics.kernels import contact, load_step, records
 from simulation.physics.kernels.linear import rotation_into
 from simulation.physics.pads import nodes_of, pad_of
@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 
 LOST_MM, LOST_GRIP, MAX_HALVINGS = 12.0, 0.1, 6
 PAUSE_SHARE, MOST_PAUSES = 0.25, 16  # step of a wait as a share of the relaxation time, and the most steps
-INSTANT_S = 1e-9  # a wait that is a rounding error: m / dt^2 then drowns all other forces
 EASED = 0.5, 0.02  # shares of a round by which friction limits follow where no shorter step helps
 
 
@@ -85,7 +84,7 @@ class QuasiStaticCell:
         self.slots[: self.base_slot] = 0
         for name in ("sx", "sz", "slipped"):
             self.nodes[name] = 0.0
-        self.grasp_lost = False
+        self.grasp_lost, self._each = False, 1.0
         if self.coasting is not None:
             self.coasting.velocity[:] = 0.0
         self.pose = np.array([0.0, 0.0, spread.height_mm + 10.0 * APPROACH_MM, 0.0])
@@ -199,7 +198,7 @@ class QuasiStaticCell:
     def _advance(self, target: Array, dt_s: float | None = None) -> None:
         """One load step, divided as necessary. Raises PhysicsError."""
         try:
-            return self._divide(target, 0, dt_s)
+            return self._divide(target, 0, dt_s, each=self._each)
         except PhysicsError:
             # the only equilibrium may be far away: leap over what no short step passes, or else crawl through it
             for blend in EASED:
@@ -210,6 +209,7 @@ class QuasiStaticCell:
             self._divide(target, 0, dt_s, last=EASED[-1])
         except PhysicsError:
             self._divide(target, 0, dt_s, each=load_step.EXACT)
+            self._each = load_step.EXACT  # what runs along an edge does so for many steps
 
     def _divide(self, target: Array, depth: int, dt_s: float | None, *, each: float = 1.0, last: float = 1.0) -> None:
         """Halve a load step until its parts settle; each, last: blend of every part, and of the shortest if stalled."""
