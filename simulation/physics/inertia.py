@@ -16,6 +16,7 @@ from simulation.scene.scene import Scene
 
 Array = NDArray[np.float64]
 YAW_ARM_MM = 40.0  # a yaw counts as the arc at this radius
+INSTANT_S = 1e-9  # a wait that is a rounding error: m / dt^2 then drowns all other forces
 
 
 class Coasting:

@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 SOFTNESS = 1.25  # local over smallest stiffness of the layer; 2 is where Richardson's iteration stops contracting
 STIFFER = 3.0  # the same where it does not settle: soft bristles let an object held at a corner buckle in mid-iteration
 MAX_ROUNDS, DEPTH = 150, 8
+MAX_PATIENT = 1000  # rounds that follow an object have no mixing: some come only 5 % closer a round
 
 
 class Anderson:
@@ -181,13 +182,13 @@ class LayerPads:
         self.unsettled = True
         return load_step.STALLED
 
-    def _follow(self, solve: Callable[..., int]) -> int:
+    def _follow(self, solve: Callable[..., int], rounds: int) -> int:
         """Let the anchors follow the object round by round, each from where the last round left it.
 
         For an object that snaps over: restarted in each round, it would snap back as soon as the anchors come near.
         """
         anchors, before = self._anchors, self.surface
-        for done in range(MAX_ROUNDS):
+        for done in range(rounds):
             self.rounds += 1
             self._place_anchors(anchors, before)
             status = solve(arrived=done > 0)
@@ -215,11 +216,13 @@ class LayerPads:
         self._grasped = self.surface
         return closed
 
-    def advance(self, memory: tuple[Records, ...], solve: Callable[..., int], duration_s: float = 0.0) -> int:
+    def advance(
+        self, memory: tuple[Records, ...], solve: Callable[..., int], duration_s: float = 0.0, *, patient: bool = False
+    ) -> int:
         """One load step; memory: state and slots, restored before each try. Leaves everything unchanged unless SETTLED.
 
         solve: the core's step; with ``arrived`` the hand has already moved. duration_s: duration of the step; creep
-        during it comes before its motion.
+        during it comes before its motion. patient: follow an object that snaps over for as long as it takes.
         """
         kept, nodes = [part.copy() for part in memory], self._nodes.copy()
         own = self._anchors, self._creep, self._bent
@@ -244,7 +247,7 @@ class LayerPads:
             self._stiffen(SOFTNESS / STIFFER)
         if self.unsettled:
             put_back()
-            status = self._follow(solve)
+            status = self._follow(solve, MAX_PATIENT if patient else MAX_ROUNDS)
         if status != load_step.SETTLED:
             report = memory[0]["report"].copy()
             put_back()

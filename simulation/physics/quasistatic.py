@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from simulation.physics import layer_pads
 from simulation.physics.constants import BASE_K, scene_constants
 from simulation.physics.grasp import close_fingers
-from simulation.physics.inertia import coasting_of, duration_s
+from simulation.physics.inertia import INSTANT_S, coasting_of, duration_s
 from simulation.physics.kernels import contact, load_step, records
 from simulation.physics.kernels.linear import rotation_into
 from simulation.physics.pads import nodes_of, pad_of
@@ -84,7 +84,7 @@ class QuasiStaticCell:
         self.slots[: self.base_slot] = 0
         for name in ("sx", "sz", "slipped"):
             self.nodes[name] = 0.0
-        self.grasp_lost = False
+        self.grasp_lost, self._each = False, 1.0
         if self.coasting is not None:
             self.coasting.velocity[:] = 0.0
         self.pose = np.array([0.0, 0.0, spread.height_mm + 10.0 * APPROACH_MM, 0.0])
@@ -183,39 +183,46 @@ class QuasiStaticCell:
             return self._solve(target, blend)
         if dt_s is None:
             dt_s = duration_s(target - self.pose, self.pace_mm_s)
-        return self.layer.advance((self.record, self.slots), partial(self._solve, target, blend), dt_s)
+        solve, patient = partial(self._solve, target, blend), blend == load_step.EXACT
+        return self.layer.advance((self.record, self.slots), solve, dt_s, patient=patient)
 
     def _pass(self, target: Array, dt_s: float | None, blend: float = 1.0) -> int:
-        """One undivided load step; blend below 1: damp the friction limits where they jump."""
+        """One undivided load step; blend as in `load_step.advance`."""
         if self.coasting is None:
             return self._step(target, dt_s, blend)
         dt_s = self.coasting.duration_s(target - self.pose) if dt_s is None else dt_s
+        dt_s = 0.0 if blend == load_step.EXACT and dt_s < INSTANT_S else dt_s
         world = self.constants, self.trials, self._centre(), dt_s
         return self.coasting.step(*world, partial(self._step, target, dt_s, blend))
 
     def _advance(self, target: Array, dt_s: float | None = None) -> None:
         """One load step, divided as necessary. Raises PhysicsError."""
         try:
-            self._divide(target, 0, dt_s, rescue=False)
+            return self._divide(target, 0, dt_s, each=self._each)
         except PhysicsError:
             # the only equilibrium may be far away: leap over what no short step passes, or else crawl through it
             for blend in EASED:
                 status = self._pass(target, dt_s, blend)
                 if status != load_step.STALLED:
                     return self._arrive(target, status)
-            self._divide(target, 0, dt_s, rescue=True)
+        try:
+            self._divide(target, 0, dt_s, last=EASED[-1])
+        except PhysicsError:
+            self._divide(target, 0, dt_s, each=load_step.EXACT)
+            self._each = load_step.EXACT  # what runs along an edge does so for many steps
 
-    def _divide(self, target: Array, depth: int, dt_s: float | None, *, rescue: bool) -> None:
-        status = self._pass(target, dt_s)
-        if status == load_step.STALLED and rescue and depth == MAX_HALVINGS:
-            status = self._pass(target, dt_s, EASED[-1])
+    def _divide(self, target: Array, depth: int, dt_s: float | None, *, each: float = 1.0, last: float = 1.0) -> None:
+        """Halve a load step until its parts settle; each, last: blend of every part, and of the shortest if stalled."""
+        status = self._pass(target, dt_s, each)
+        if status == load_step.STALLED and last < 1.0 and depth == MAX_HALVINGS:
+            status = self._pass(target, dt_s, last)
         if status == load_step.STALLED and self._drops():
             status = load_step.LOST
         if status == load_step.STALLED and depth < MAX_HALVINGS:
             middle = 0.5 * (self.pose + target)
             half_s = None if dt_s is None else 0.5 * dt_s
-            self._divide(middle, depth + 1, half_s, rescue=rescue)
-            self._divide(target, depth + 1, half_s, rescue=rescue)
+            self._divide(middle, depth + 1, half_s, each=each, last=last)
+            self._divide(target, depth + 1, half_s, each=each, last=last)
             return
         if status == load_step.STALLED:
             reason = self._why()

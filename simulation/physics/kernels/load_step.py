@@ -4,7 +4,8 @@ Two solvers, one equilibrium. `newton.direct` lets friction limits follow the pr
 matrix that is not symmetric) and needs a handful of iterations; where it does not descend, `convex.converge` takes
 over: with the limits held, a load step minimises a convex potential (springs, Huber bristles, unilateral contacts),
 so semi-smooth Newton with a line search converges from anywhere, and an outer loop renews limits and contact geometry
-until that changes nothing (lagged friction, Li et al. 2020). Where the limits jump for ever, `convex.damped` is asked.
+until that changes nothing (lagged friction, Li et al. 2020). Where the limits jump for ever, `convex.damped` is asked,
+and at last `exact.solve`.
 What a step leaves for the next: stretches of bristles and contacts, normal forces, poses; all else is made anew.
 """
 
@@ -13,11 +14,12 @@ from typing import Any
 
 from numba import njit
 
-from simulation.physics.kernels import bristles, contact, convex, equilibrium, newton
+from simulation.physics.kernels import bristles, contact, convex, equilibrium, exact, newton
 from simulation.physics.kernels.convex import FREEZE_CONVEX
 
 SETTLED, STALLED, LOST = 0, 1, 2
 MAX_DIRECT = 20
+EXACT = 0.0
 
 
 @njit(cache=True)
@@ -51,7 +53,7 @@ def advance(work: Any, pose: Any, target: Any, tol: float, direct: bool, blend: 
     """One load step: the hand goes from pose to target (x, y, z mm, yaw rad); the state follows. Gives a status code.
 
     work is a `Workspace`; STALLED and LOST leave its state as it was. blend below 1: the share of a round by which
-    friction limits follow where whole rounds do not settle.
+    friction limits follow where whole rounds do not settle; EXACT: `exact.solve` there instead.
     """
     state = work.state[0]
     value, tries, rounds = math.inf, 0, 0
@@ -69,9 +71,12 @@ def advance(work: Any, pose: Any, target: Any, tol: float, direct: bool, blend: 
             if blend >= 1.0:
                 return STALLED
             equilibrium.begin(work, pose, target)
-            value, count = convex.damped(work, tol, blend)
+            if blend == EXACT:
+                value, count = exact.solve(work, tol)
+            else:
+                value, count = convex.damped(work, tol, blend)
+                contact.hold_rim(work, 0.0)
             tries += count
-            contact.hold_rim(work, 0.0)
             if count < 0:
                 return LOST
             if not value <= tol:
