@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from service.contract import Sensor, wire
 from service.decision.attempt import Attempt, Stage, nothing_held
-from service.decision.claim import BLIND_S, GraspRecord, doubts, pressed_mm, slid_mm, unclaimed
+from service.decision.claim import BLIND_S, GraspRecord, doubts, newest_age_s, pressed_mm, slid_mm, unclaimed
 from service.decision.seating import Push
 from service.perception.markers.field import field_from_gel
 from service.perception.observation import Observation, PairObservation
@@ -211,3 +211,10 @@ def test_a_grasp_remembers_its_strongest_push_and_its_furthest_press() -> None:
 
 def test_without_an_onset_nothing_was_pressed() -> None:
     assert pressed_mm(descent()) == 0.0
+
+
+def test_the_newest_pair_is_as_old_as_its_stamp_if_it_shows_the_load() -> None:
+    pushes = [Push(1_000_000_000, 0.1, 0.1), Push(1_500_000_000, 0.2, 0.2)]
+    assert newest_age_s(pushes, 1_750_000_000) == pytest.approx(0.25)
+    assert newest_age_s([*pushes, Push(1_700_000_000, math.nan, 0.2)], 1_750_000_000) == math.inf
+    assert newest_age_s([], 1_750_000_000) == math.inf

@@ -10,7 +10,15 @@ import pytest
 from service.contract import MarkerSpec, wire
 from service.decision.attempt import Attempt, Stage, implausible_width
 from service.decision.evidence import Evidence, Refusal
-from service.decision.work import check_evidence, enough_message, latencies, overdue, plan_work, slip_message
+from service.decision.work import (
+    check_evidence,
+    decide_again,
+    enough_message,
+    latencies,
+    overdue,
+    plan_work,
+    slip_message,
+)
 from service.perception.markers.field import empty_field
 from service.perception.observation import PairObservation
 from service.settings import Deadlines
@@ -141,3 +149,9 @@ def test_of_an_attempt_that_nothing_moved_in_its_reference_is_kept() -> None:
     assert descent(reference=None).arrays() == {}
     moved = [replace(pair(), left=replace(pair().left, seq=seq)) for seq in (4, 5)]
     assert descent(decision_pairs=moved).arrays()["frames"].shape[:2] == (2, 2)
+
+
+def test_an_attempt_in_which_nothing_was_shown_cannot_be_decided_again() -> None:
+    models: Any = SimpleNamespace(card=tiny_models.card("direction", "step"))
+    with pytest.raises(Refusal, match="no frame pair"):
+        decide_again(models, descent(network_reference=None))

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 
 from service.contract import wire
@@ -226,3 +228,15 @@ def test_open_gels_that_no_new_frame_shows_are_a_fault_once_and_not_before_their
     (fault,) = session.on_tick(asked_ns + wait_ns + 1)
     assert (fault.code, fault.detail) == ("open_gel", "the open gels could not be learnt: no frame arrived")
     assert session.on_tick(asked_ns + 2 * wait_ns) == []
+
+
+def test_the_result_of_an_earlier_arming_or_after_the_end_changes_nothing(session: InsertionSession) -> None:
+    hello(session)
+    probe(session, 1, 0)
+    late = session.attempt.result
+    session.handle(wire.Arm(insertion_id=ID, attempt=2, gap_width_mm=56.0, expected_depth_mm=25.0), 10**10)
+    assert session.on_result(late, 10**10) == []
+    assert session.attempt.result is None
+    session.handle(wire.Abort(insertion_id=ID, cause="operator", reason="test"), 10**10)
+    assert session.on_result(replace(late, generation=session.attempt.generation), 10**10) == []
+    assert session.attempt.result is None
