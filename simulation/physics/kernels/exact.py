@@ -60,7 +60,7 @@ def _step(work: Any, before: float) -> float:
         equilibrium.move(trial, n, scale)
         value = _unbalanced(work)
         if value < before * (1.0 - 0.05 * scale):
-            return value
+            return float(value)
         equilibrium.copy_trial(spare, trial)
         scale *= 0.5
     return math.inf
