@@ -69,14 +69,13 @@ class EgmWatch:
 
     def ready(self, state: RobotState) -> bool:
         """True if the controller follows targets; ``not_ready`` names the missing condition."""
-        self.not_ready = _missing(state)
+        self.not_ready = state.unfit
         return not self.not_ready
 
     def check(self, state: RobotState) -> None:
         """Raise StreamFault if the controller no longer follows or its datagrams come late."""
-        missing = _missing(state)
-        if missing:
-            raise StreamFault("controller", missing)
+        if state.unfit:
+            raise StreamFault("controller", state.unfit)
         if self._age_s > self.max_age_s:
             raise StreamFault(
                 "stale", f"datagrams are {self._age_s * 1e3:.0f} ms late, allowed {self.max_age_s * 1e3:g}"
@@ -101,13 +100,3 @@ class EgmWatch:
             "worst_gap_ms": round(self.worst_gap_s * 1e3, 1),
             "worst_age_ms": round(self.worst_age_s * 1e3, 1),
         }
-
-
-def _missing(state: RobotState) -> str:
-    if not state.motors_on:
-        return "the motors are off"
-    if not state.rapid_running:
-        return "the RAPID program does not run"
-    if state.mc_state != "running":
-        return f"motion control reports EGM {state.mc_state}"
-    return "motion supervision has seen a collision" if state.collided else ""
