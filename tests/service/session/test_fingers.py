@@ -52,9 +52,7 @@ def frame(finger: Any, seq: int = 0, captured_ns: int = 0) -> TactileFrame:
 
 def touched(left: float | None, right: float | None, **changes: Any) -> PairObservation:
     both = pair()
-    return PairObservation(
-        replace(both.left, touch=left, **changes), replace(both.right, touch=right, **changes)
-    )
+    return PairObservation(replace(both.left, touch=left, **changes), replace(both.right, touch=right, **changes))
 
 
 GONE = touched(0.1, 0.1, bulge=0.1)

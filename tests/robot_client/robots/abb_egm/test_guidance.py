@@ -214,3 +214,38 @@ def test_an_arm_is_started_moved_held_and_its_program_stopped():
     assert statistics["worst_hold_us"] > 0
     assert statistics["worst_reply_us"] > 0
     assert findings[1].good
+
+
+def test_only_the_first_of_several_faults_is_reported_and_none_while_the_arm_is_closed():
+    def story(cell):
+        cell.cycles(2)
+        cell.arm._fail("tracking", "strayed")
+        cell.arm._fail("silent", "and then silent")
+        assert cell.codes == ["tracking"]
+        with pytest.raises(LimitError, match="takes no motion: tracking: strayed"):
+            cell.arm.move(HERE, "travel")
+        cell.cycles(60)
+        assert [type(event) for event in cell.events] == [Failure], "a standstill after it is nobody's answer"
+
+    played(story)
+
+    def closing(cell):
+        cell.cycles(2)
+        cell.arm._closing = True
+        cell.here = HERE.model_copy(update={"y_mm": 15.0})
+        cell.cycles(60, motors_on=False)
+        assert cell.events == []
+        assert len(cell.wire.sent) == 62, "it is still answered with the frozen target"
+
+    played(closing)
+
+
+def test_the_stream_is_looked_at_four_times_within_the_silence_that_is_allowed():
+    def story(cell):
+        cell.cycles(1)
+        cell.arm._timer.cancel()
+        loop = asyncio.get_running_loop()
+        cell.arm._watchdog()
+        assert cell.arm._timer.when() - loop.time() == pytest.approx(0.25 / 4, abs=0.02)
+
+    played(story)

@@ -1,6 +1,8 @@
 """Two sockets to one robot: a message on one may arrive after a later message on the other."""
 
+import asyncio
 import math
+import socket
 
 import pytest
 
@@ -8,6 +10,7 @@ from robot_client.insertion.events import Arrived, Standstill
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, Limits
 from robot_client.insertion.motion import Ramp, Ramps
+from robot_client.ports import DriverError
 from robot_client.robots.abb_rapid import codec, driver
 from robot_client.robots.abb_rapid.driver import SocketArm
 from robot_client.robots.abb_rapid.settings import Settings
@@ -187,3 +190,135 @@ def test_legs_and_speeds_beyond_the_limits_are_refused(clock):
     with pytest.raises(LimitError, match=r"descend speed mm/s = 15.5, allowed up to 15"):
         arm.move(low, "descend", 1e9)
     assert arm._guard.sent == []
+
+
+def test_an_order_to_stop_latches_the_arm_with_its_first_reason_and_a_hold_does_not(clock):
+    arm, _ = guided()
+    up = WorkPose(x_mm=5.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0)
+    arm.hold("slip", stop=False)
+    arm.move(up, "travel")
+    for reason in ("operator: stop", "again"):
+        arm.hold(reason, stop=True)
+        with pytest.raises(LimitError, match="takes no motion: operator: stop"):
+            arm.move(up, "travel")
+    assert [text[0] for text in arm._guard.sent] == ["S", "R", "S", "S"]
+
+
+def test_only_the_first_of_several_failures_is_reported_and_no_arrival_after_it(clock):
+    arm, events = guided()
+    arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0), "travel")
+    guard_says(arm, 1, stopped=False)
+    arm._on_motion("D 1")
+    arm._fail("silent", "no answer")
+    arm._fail("link", "and then gone")
+    guard_says(arm, 2, stopped=False)
+    assert [event.code for event in events] == ["silent"]
+
+
+def test_a_standstill_is_waited_for_anew_after_each_hold_and_said_once(clock):
+    arm, events = guided()
+    for _ in range(2):
+        arm.hold("slip", stop=False)
+        guard_says(arm, 2, stopped=True)
+        clock.now_s += 0.1
+        guard_says(arm, 2, stopped=False)
+        clock.now_s += 0.06
+        guard_says(arm, 2, stopped=False)
+        assert events == [], "the guard's flag is not up yet"
+        guard_says(arm, 2, stopped=True)
+        clock.now_s += 0.5
+        guard_says(arm, 2, stopped=True)
+        assert [type(event) for event in events] == [Standstill]
+        guard_says(arm, 2, stopped=True)
+        assert len(events) == 1
+        events.clear()
+        clock.now_s += 5.0
+
+
+def test_an_arm_that_was_never_started_knows_nothing_moves_nothing_and_closes():
+    async def story():
+        arm = SocketArm(Settings(), Limits(), Ramps())
+        assert (arm.position(), arm.target(), arm.signals(), arm.statistics()) == (
+            None,
+            None,
+            None,
+            {"guard_answers": 0},
+        )
+        with pytest.raises(LimitError, match="not started"):
+            arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0), "travel")
+        (finding,) = await arm.checks()["guidance"]()
+        assert list(arm.checks()) == ["guidance"]
+        assert (finding.good, "192.168.125.1:5010 and :5011" in finding.text) == (True, True)
+        assert await arm.close() == "guard stopped the arm; no program was started"
+
+    asyncio.run(story())
+
+
+def test_what_the_guard_says_counts_and_what_is_no_answer_of_its_does_not(clock):
+    arm, events = guided()
+    before = arm.position()
+    for text in ("P 1 5.00 0.00 nonsense", "P 1 5.00 0.00 41.00 0 0.5 0 0 0 0", "?"):
+        arm._on_guard(text)
+    assert (arm.position(), arm.statistics(), events) == (before, {"guard_answers": 1}, [])
+    guard_says(arm, 2, stopped=False)
+    assert arm.statistics() == {"guard_answers": 2}
+
+
+def test_a_guard_that_hangs_up_is_asked_nothing_any_more(clock):
+    arm, _ = guided()
+    arm._guard.is_closing = lambda: True
+    arm.hold("slip", stop=False)
+    assert arm._guard.sent == []
+
+
+@pytest.mark.parametrize("missing", ["motion server", "guard"])
+def test_a_program_that_does_not_listen_is_named(missing):
+    """With one of its two ports, or with none; a port may open late, and is tried for as long as is set."""
+
+    async def story():
+        heard = []
+
+        async def serve(_reader, writer):
+            heard.append(writer)
+
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        port, closed = server.sockets[0].getsockname()[1], free_port()
+        ports = {"motion_port": closed if missing == "motion server" else port, "guard_port": closed}
+        arm = SocketArm(Settings(host="127.0.0.1", connect_timeout_s=0.15, **ports), Limits(), Ramps())
+        begun_s = asyncio.get_running_loop().time()
+        with pytest.raises(DriverError, match=f"cannot connect to the {missing} at 127.0.0.1:{closed}"):
+            await arm.start(lambda _event: None)
+        assert asyncio.get_running_loop().time() - begun_s > 0.15
+        await arm.close()
+        for writer in heard:
+            writer.close()
+        server.close()
+
+    asyncio.run(story())
+
+
+def test_a_guard_that_says_nothing_is_no_start():
+    async def story():
+        heard = []
+
+        async def serve(_reader, writer):
+            heard.append(writer)
+
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
+        settings = Settings(host="127.0.0.1", connect_timeout_s=0.1, motion_port=port, guard_port=port)
+        arm = SocketArm(settings, Limits(), Ramps())
+        with pytest.raises(DriverError, match="does not report where the arm is; is TactileGuard.mod running"):
+            await arm.start(lambda _event: None)
+        await arm.close()
+        for writer in heard:
+            writer.close()
+        server.close()
+
+    asyncio.run(story())
+
+
+def free_port():
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
