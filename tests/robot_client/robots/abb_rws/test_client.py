@@ -140,8 +140,8 @@ def test_what_keeps_a_program_from_being_started_is_found_before_it_is(state, sw
     findings = asked(RwsClient.findings, state, switch_motors_on=switch)
     assert [finding.good for finding in findings] == good
     assert findings[4].text == "speed ratio 100 %"
-    (refused, posted, started) = start_of(state) if switch else ("", [], False)
     if switch:
+        refused, _, started = start_of(state)
         assert started == (not refused) == all(good)
 
 
@@ -170,7 +170,7 @@ def test_a_controller_that_does_not_follow_an_order_is_given_up_once_its_time_is
     reason = asked(RwsClient.start_program, state, **timeouts)
     assert reason.startswith(f"{key} is ")
     assert "after 0.05 s, expected" in reason
-    assert 0.05 <= time.monotonic() - begun_s
+    assert time.monotonic() - begun_s >= 0.05
 
 
 @pytest.mark.parametrize(("took_s", "given_up"), [(1.8, False), (2.2, True)])

@@ -57,7 +57,7 @@ def test_a_move_is_walked_target_by_target_and_its_arrival_reported(clock):
 def test_a_hold_freezes_the_target_and_its_standstill_says_for_how_long(clock):
     async def story(arm, way, event):
         arm.move(arm.target().at_height(60.0), "descend", 1e9)
-        while len(way) < 200:
+        while len(way) < 200:  # noqa: ASYNC110 set by the rehearsal
             await asyncio.sleep(0)
         arm.hold("slip", stop=False)
         held = arm.target()
@@ -76,7 +76,7 @@ def test_a_lease_that_ends_is_a_failure_as_with_the_arm_and_one_that_is_renewed_
         assert isinstance(await event(), Arrived)
         arm.move(arm.target().at_height(60.0), "descend", 3.0)
         clock.now_s = 3.0
-        while len(way) < 2000:
+        while len(way) < 2000:  # noqa: ASYNC110 set by the rehearsal
             await asyncio.sleep(0)
         clock.now_s = 3.0 + PAUSE_S + 0.01
         failure = await event()
