@@ -1,4 +1,4 @@
-"""Why an insertion ends, who is to blame for it, and what comes after: as the service and the next insertion hear it."""
+"""Why an insertion ends, who is to blame, and what comes after: as the service and the next insertion hear it."""
 
 from dataclasses import replace
 
