@@ -264,8 +264,8 @@ def test_an_arm_has_arrived_once_it_rests_within_three_hundredths_of_its_target(
     guide.move(AT, "travel")
     guide.advance(CYCLE_S, 0.0)
     rests = AT.model_copy(update={"y_mm": AT.y_mm + off_mm, "yaw_deg": AT.yaw_deg + off_deg})
-    seen = [guide.observe(rests, n * CYCLE_S) for n in range(30)]
-    assert [n for n, settled in enumerate(seen) if settled] == ([math.ceil(SETTLE_S / CYCLE_S)] if arrives else [])
+    reports = [guide.observe(rests, n * CYCLE_S) for n in range(30)]
+    assert [n for n, settled in enumerate(reports) if settled] == ([math.ceil(SETTLE_S / CYCLE_S)] if arrives else [])
 
 
 @pytest.mark.parametrize(
@@ -277,8 +277,8 @@ def test_an_arm_stands_while_it_stays_within_a_window(step_mm, step_deg, stands)
     guide = MotionGuide(Limits(), RAMPS, AT)
     guide.hold()
     there = AT.model_copy(update={"x_mm": AT.x_mm + step_mm, "yaw_deg": AT.yaw_deg + step_deg})
-    seen = [guide.observe((AT, there)[n % 2], n * CYCLE_S) for n in range(30)]
-    assert [settled for settled in seen if settled] == ["standstill"] * stands
+    reports = [guide.observe((AT, there)[n % 2], n * CYCLE_S) for n in range(30)]
+    assert [settled for settled in reports if settled] == ["standstill"] * stands
 
 
 def test_a_camera_that_does_not_tell_its_rate_is_not_too_slow():

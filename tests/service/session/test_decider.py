@@ -34,7 +34,7 @@ def decider(**changes: Any) -> Decider:
     return Decider("one", models, Heuristic(LIMITS), Deadlines(), **changes)
 
 
-def seen(captured_ns: int) -> PairObservation:
+def pair_at(captured_ns: int) -> PairObservation:
     both = pair()
     return PairObservation(replace(both.left, captured_ns=captured_ns), replace(both.right, captured_ns=captured_ns))
 
@@ -42,7 +42,7 @@ def seen(captured_ns: int) -> PairObservation:
 def blocked(evidence: Evidence | None = EVIDENCE, refusal: Refusal | None = None, **changes: Any) -> Attempt:
     """An attempt that stopped at `STOPPED_NS`, its networks' answer, and its pairs, the newest 12.5 ms before."""
     result = WorkResult(1, 1, evidence, refusal, {"networks_last_step": 3.0})
-    pairs = [seen(STOPPED_NS - age_ns) for age_ns in (90 * MS, 50 * MS, 12_500_000)]
+    pairs = [pair_at(STOPPED_NS - age_ns) for age_ns in (90 * MS, 50 * MS, 12_500_000)]
     usual = {"outcome": "blocked", "stopped_ns": STOPPED_NS, "result": result, "decision_pairs": pairs}
     return descent(**usual | changes)
 
@@ -54,12 +54,12 @@ def full_depth(newest_ns: int, **changes: Any) -> Attempt:
     return descent(pushes=pushes, descending_ns=began_ns, stopped_ns=STOPPED_NS, **changes)
 
 
-@pytest.mark.parametrize(("age_ms", "judged"), [(149.0, True), (151.0, False)])
-def test_full_depth_is_judged_by_a_pair_no_older_than_is_allowed_in_a_descent(age_ms: float, judged: bool) -> None:
+@pytest.mark.parametrize(("age_ms", "new_enough"), [(149.0, True), (151.0, False)])
+def test_full_depth_is_judged_by_a_pair_no_older_than_is_allowed_in_a_descent(age_ms: float, new_enough: bool) -> None:
     one = decider()
     one.grasp.width_mm = 50.0
     doubts = one.doubts(full_depth(STOPPED_NS), STOPPED_NS + round(age_ms * MS), 150.0)
-    assert doubts == (() if judged else None)
+    assert doubts == (() if new_enough else None)
 
 
 def test_full_depth_that_nobody_saw_is_doubted_two_seconds_after_the_arm_stood_and_not_before() -> None:
@@ -129,7 +129,7 @@ def test_a_mirrored_picture_is_noticed_in_the_newest_pair_unless_others_move_the
     one = decider(consistency=Consistency() if followed else None)
     attempt = blocked()
     attempt.ring.clear()
-    attempt.ring.extend([seen(STOPPED_NS - 50 * MS), seen(STOPPED_NS - 40 * MS), mirrored()])
+    attempt.ring.extend([pair_at(STOPPED_NS - 50 * MS), pair_at(STOPPED_NS - 40 * MS), mirrored()])
     answer = one.conclude(attempt, STOPPED_NS + MS)
     assert answer is not None
     assert answer.type == ("no_decision" if followed else "correction")
@@ -138,7 +138,7 @@ def test_a_mirrored_picture_is_noticed_in_the_newest_pair_unless_others_move_the
 
 
 def mirrored() -> PairObservation:
-    fingers = [replace(one, slip=replace(one.slip, angle_rad=math.radians(3.0))) for one in seen(STOPPED_NS).fingers]
+    fingers = [replace(one, slip=replace(one.slip, angle_rad=math.radians(3.0))) for one in pair_at(STOPPED_NS).fingers]
     return PairObservation(*fingers)
 
 

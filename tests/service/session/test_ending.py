@@ -1,4 +1,4 @@
-"""What is kept and told of insertions as they open, end and fail to be recorded. Cameras that have shown nothing yet."""
+"""What is kept and told of insertions as they open, end or cannot be recorded. No camera has shown anything yet."""
 
 import json
 import threading
@@ -246,8 +246,8 @@ def test_an_alarm_of_the_charts_is_told_with_its_remedy_and_a_chart_that_cannot_
     ((values, name, within),) = added
     assert (values["light"], name) == (130.0, "")
     assert within == " ".join(entry.sha256[:12] for entry in models.entries), "other networks begin new charts"
-    told = {"chart": "light", "cause": "the light has changed", "remedy": "look at the lamp"}
-    assert cell.events == [("drift", told)]
+    alarm = {"chart": "light", "cause": "the light has changed", "remedy": "look at the lamp"}
+    assert cell.events == [("drift", alarm)]
     cell.manager._chart({"outcome": "nonsense"}, models)
     assert cell.kinds == ["drift", "error"]
 

@@ -60,21 +60,21 @@ GONE = touched(0.1, 0.1, bulge=0.1)
 
 def test_a_hand_that_has_lost_its_object_says_so_once_and_again_only_after_it_held_one_again() -> None:
     hand, attempt = Hand(), descent(outcome=None, reference=touched(2.0, 2.0))
-    said = []
+    losses = []
     for both in [touched(2.0, 2.0)] * 2 + [GONE] * 4 + [touched(2.0, 2.0)] * 6 + [GONE] * 3:
         hand.sees(both)
-        said.append(bool(hand.fingers.emptied(attempt)))
-    assert [index for index, now in enumerate(said) if now] == [3, 13], "two empty pairs in a row"
+        losses.append(bool(hand.fingers.emptied(attempt)))
+    assert [index for index, now in enumerate(losses) if now] == [3, 13], "two empty pairs in a row"
 
 
 def test_each_arming_begins_with_an_object_in_the_hand() -> None:
-    hand, said = Hand(), []
+    hand, losses = Hand(), []
     for generation in (1, 2):
         attempt = descent(outcome=None, reference=touched(2.0, 2.0), generation=generation)
         for _ in range(3):
             hand.sees(GONE)
-            said.append(bool(hand.fingers.emptied(attempt)))
-    assert said == [False, True, False] * 2
+            losses.append(bool(hand.fingers.emptied(attempt)))
+    assert losses == [False, True, False] * 2
 
 
 def test_before_an_arming_and_at_full_depth_an_empty_hand_is_no_loss() -> None:
@@ -102,11 +102,11 @@ def test_a_finger_is_judged_by_what_felt_the_object_at_arming(
     reference: PairObservation, now: PairObservation, lost: bool
 ) -> None:
     hand, attempt = Hand(), descent(outcome=None, reference=reference)
-    said = []
+    losses = []
     for both in [reference] * 2 + [now] * 3:
         hand.sees(both)
-        said.append(hand.fingers.emptied(attempt))
-    assert any(said) == lost
+        losses.append(hand.fingers.emptied(attempt))
+    assert any(losses) == lost
 
 
 def slides(score: float | None) -> Callable[[Any], float | None]:

@@ -227,8 +227,8 @@ def test_nothing_that_is_said_after_the_end_is_recorded_as_said_by_the_service(w
     witness.until_stopped(1)
     for _ in range(2):
         witness.insertion.message(wire.Abort(insertion_id="first", cause="operator", reason="done"))
-    said = [entry.json() for entry in Recording(witness.recorder.close({})).of("/messages")]
-    assert [one["message"]["type"] for one in said if one["from"] == "service"].count("finished") == 1
+    written = [entry.json() for entry in Recording(witness.recorder.close({})).of("/messages")]
+    assert [one["message"]["type"] for one in written if one["from"] == "service"].count("finished") == 1
 
 
 @pytest.mark.parametrize("episode", [False, True])
