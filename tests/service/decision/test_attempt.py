@@ -234,13 +234,10 @@ def test_steps_of_depth_are_answered_once_there_are_enough_or_no_more_will_come(
     monkeypatch.setattr(under_test, "Descent", Depth)
     pressing: Any = SimpleNamespace(steps_n=4)
     models: Any = SimpleNamespace(card=SimpleNamespace(pressing=pressing))
-    own = {name: value for name, value in change.items() if name in {"stage", "slip_sent"}}
     attempt = moving(9, 2)
     attempt.stage, attempt.run = Stage.ARMED, Run()  # type: ignore[assignment]
-    for name, value in own.items():
-        setattr(attempt, name, value)
     for name, value in change.items():
-        monkeypatch.setattr(Depth, name, value, raising=False)
+        monkeypatch.setattr(attempt if name in {"stage", "slip_sent"} else Depth, name, value)
     (work,) = plan_steps(models, attempt)
     result = work.run()
     assert [float(step.flat[0]) for step in attempt.run.shown] == [2.0, 3.0, 4.0, 5.0]  # type: ignore[union-attr]
