@@ -16,18 +16,16 @@ from robot_client.session.commission import (
     PRESSES,
     REACH,
     RECORD,
-    SIDES,
-    WENT_IN,
     Commissioning,
     Ended,
     Record,
     errors,
-    probe_of,
     read_record,
 )
 from robot_client.session.cycle import CycleSettings, is_empty
 from robot_client.session.recorder import Recorder
 from robot_client.session.runner import Runner
+from robot_client.session.wiring import SIDES, WENT_IN, probe_of
 from robot_client.settings import Settings, SettingsError
 from service.contract import wire
 from service.contract.frames import Finger

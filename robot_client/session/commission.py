@@ -8,7 +8,6 @@ commissioning resumes: at most the probe under way is lost.
 import asyncio
 import hashlib
 import json
-import math
 import os
 import random
 import time
@@ -19,44 +18,18 @@ from typing import Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
-from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
-from service.contract import wire
+from robot_client.session.wiring import SIDES, Probe, mistakes
 from service.contract.frames import Contract, ContractError, Finger, first_error
-from service.contract.words.wiring import WIRINGS
 
-SIDES = ((8.0, 8.0), (-8.0, -8.0), (8.0, -8.0), (-8.0, 8.0))
-"""Errors of the wiring check: mm and deg. Straight above the edges, a yaw to either side looks alike."""
 PRESSES = ((0.0, 15.0), (0.0, -15.0))
 """Errors of the presses that identify the gel: a turned object lies on both blocks and is pushed straight up."""
 REACH = (15.0, 15.0)
 """Largest errors of probes to learn from: the training range of the released networks."""
 FITS = (2.5, 3.0)
 """Approximate errors that insert: no probe begins there."""
-CLEAR_SHARE = 0.2  # share of the known error below which estimates show no sign
-LEAST_TURN_DEG, LIKE, LEAST_TURNS, ALIKE = 0.03, 0.5, 2, 0.5  # turns of similar size, and their share that follows x
-WENT_IN_SIGMA_MM, UNSTATED_SIGMA = 1.5, 5.0
-OFF_MM, OFF_DEG = 5.0, 8.0  # largest common offset of two opposite sides in a cell with a correct frame
-WENT_IN = "went in without a touch"
 RECORD = "commissioning.json"
-
-
-class Probe(Contract):
-    """One probe: its known error, and the service's result (``said`` if it gave no estimate).
-
-    ``turns_deg``: turn of the object as seen by the left and the right finger, clockwise in their pictures.
-    """
-
-    x_mm: float
-    theta_deg: float
-    estimate_x_mm: float | None = None
-    estimate_theta_deg: float | None = None
-    sigma_x_mm: float | None = None
-    sigma_theta_deg: float | None = None
-    turns_deg: tuple[float, float] | None = None
-    said: str = ""
-    insertion_id: str
 
 
 class Record(Contract):
@@ -128,74 +101,6 @@ def keep_record(path: Path, record: Record) -> None:
         file.flush()
         os.fsync(file.fileno())
     temporary.replace(path)
-
-
-def mistakes(signs: tuple[Probe, ...]) -> tuple[str, ...]:
-    """The likely mistakes of a cell from its answers to :data:`SIDES`; empty for a good one.
-
-    Some gels do not feel the yaw: that is no mistake. Not feeling x, which turns every object, is one.
-    """
-    if wrong := [probe.said for probe in signs if probe.said.startswith("contradictory")]:
-        return tuple(dict.fromkeys(wrong))
-    if mirrored := _mirrored(signs):
-        return (mirrored,)
-    x = _axis([(probe.x_mm, *_felt_x(probe)) for probe in signs])
-    theta = _axis([(probe.theta_deg, probe.estimate_theta_deg, probe.sigma_theta_deg) for probe in signs])
-    if x is None or all(probe.estimate_x_mm is None for probe in signs):
-        undecided = [probe.said for probe in signs if probe.said not in {"", WENT_IN}]
-        felt_nothing = f"nothing was felt {SIDES[0][0]:g} mm beside the gap: is the block there, is its width right?"
-        return tuple(dict.fromkeys(undecided)) or (felt_nothing,)
-    causes = []
-    if not x[0]:
-        causes.append("opposite errors in x give like estimates: the gels do not feel the block")
-    yaws = (theta[0],) if theta and theta[0] else (1, -1) if x[0] < 0 else (1,)  # an axis not felt may be either
-    causes += [WIRINGS[x[0], yaw] for yaw in yaws if (x[0], yaw) in WIRINGS]
-    if abs(x[1]) > OFF_MM:
-        causes.append(f"the tool frame or the fixture is off by about {x[1]:+.1f} mm in x")
-    if theta and abs(theta[1]) > OFF_DEG:
-        causes.append(f"the tool frame or the fixture is off by about {theta[1]:+.1f} deg in yaw")
-    return tuple(causes)
-
-
-def _felt_x(probe: Probe) -> tuple[float | None, float | None]:
-    """Estimate and sigma of x; the error of an inserted probe was within the gap's clearance."""
-    if probe.said == WENT_IN:
-        return 0.0, WENT_IN_SIGMA_MM
-    return probe.estimate_x_mm, probe.sigma_x_mm
-
-
-def _axis(felt: list[tuple[float, float | None, float | None]]) -> tuple[int, float] | None:
-    """Sign (0 if unclear) and offset of (error, felt, sigma); None if a side gives no answer."""
-    sides: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
-    for error, value, sigma in felt:
-        if value is not None:
-            sides[error > 0.0].append((value, (sigma or UNSTATED_SIGMA) ** -2.0))
-    if not all(sides.values()):
-        return None
-    means = [sum(value for value, _ in side) / len(side) for side in sides.values()]
-    signed = sum(value * weight * (1.0 if up else -1.0) for up, side in sides.items() for value, weight in side)
-    share = signed / (abs(felt[0][0]) * sum(weight for side in sides.values() for _, weight in side))
-    return (0 if abs(share) <= CLEAR_SHARE else 1 if share > 0 else -1), 0.5 * sum(means)
-
-
-def _mirrored(signs: tuple[Probe, ...]) -> str:
-    """The mirrored picture, if there is one; facing each other, the fingers must see opposite turns.
-
-    A block that pushes up at +x turns the object anticlockwise as seen by the left finger. Turns of different size do
-    not belong to one rigid object: with a narrow contact, too few markers move with it.
-    """
-    turns = [(math.copysign(1.0, probe.x_mm), probe.turns_deg) for probe in signs if probe.turns_deg]
-    turns = [
-        (side, turn) for side, turn in turns if min(map(abs, turn)) > max(LEAST_TURN_DEG, LIKE * max(map(abs, turn)))
-    ]
-    if len(turns) < LEAST_TURNS:
-        return ""
-    with_x = [sum(side * turn[index] for side, turn in turns) for index in range(2)]
-    total = [sum(abs(turn[index]) for _, turn in turns) for index in range(2)]
-    if with_x[0] * with_x[1] <= 0.0 or any(abs(x) < ALIKE * all_ for x, all_ in zip(with_x, total, strict=True)):
-        return ""
-    finger = "left" if with_x[0] > 0.0 else "right"
-    return f"both fingers see the object turn the same way: the {finger} picture is mirrored"
 
 
 def errors(seed: int, x_mm: float, theta_deg: float, fits: tuple[float, float]) -> Callable[[int], tuple[float, float]]:
@@ -278,14 +183,3 @@ class Commissioning:
     def _keep(self, **changed: object) -> None:
         self.record = self.record.model_copy(update=changed)
         keep_record(self.path, self.record)
-
-
-def probe_of(plan_id: str, approach: WorkPose, answer: wire.Correction | None, ending: str) -> Probe:
-    """A probe in its stored form; ``ending`` is how it ended without an answer."""
-    probe = Probe(x_mm=approach.x_mm, theta_deg=approach.yaw_deg, said=ending, insertion_id=plan_id)
-    if answer is None:
-        return probe
-    felt = answer.estimate
-    estimate = {"estimate_x_mm": felt.dx_mm, "estimate_theta_deg": felt.dtheta_deg}
-    sigma = {"sigma_x_mm": felt.sigma_x_mm, "sigma_theta_deg": felt.sigma_theta_deg}
-    return probe.model_copy(update={**estimate, **sigma, "turns_deg": answer.turns_deg, "said": ""})

@@ -17,15 +17,14 @@ from robot_client.insertion.state import Phase, State
 from robot_client.ports import DriverError
 from robot_client.session.commission import (
     PRESSES,
-    SIDES,
     Commissioning,
     Ended,
     Record,
     errors,
     keep_record,
-    probe_of,
     read_record,
 )
+from robot_client.session.wiring import SIDES, probe_of
 from robot_client.settings import Settings
 from service.contract import wire
 from service.contract.frames import ContractError
@@ -43,7 +42,7 @@ from tests.robot_client.insertion.stories import (
     run,
     service,
 )
-from tests.robot_client.session.test_signs import answers, felt
+from tests.robot_client.session.test_wiring import answers, felt
 
 PROBE = State(PLAN.model_copy(update={"purpose": "probe"}))
 
