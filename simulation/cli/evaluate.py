@@ -161,4 +161,5 @@ def _line(row: Row) -> str:
     known = known_object(row["object"])
     paper = f"; the paper's real robot: {known.paper.mean_trials:g}" if known and known.paper else ""
     inserted = f"{row['inserted']}/{row['insertions']} inserted, mean trials {row['mean_trials']:.2f}"
-    return f"{row['world']}, {row['object']}: {inserted} (simulated{paper})"
+    ended = "".join(f"\n  {count} x {reason}" for reason, count in row["reasons"].items())
+    return f"{row['world']}, {row['object']}: {inserted} (simulated{paper}){ended}"
