@@ -11,21 +11,12 @@ from robot_client.insertion.events import Event, FromService
 from robot_client.insertion.limits import check_pose
 from robot_client.insertion.state import State
 from robot_client.ports import DriverError
-from robot_client.session.commission import (
-    FITS,
-    PRESSES,
-    REACH,
-    RECORD,
-    Commissioning,
-    Ended,
-    Record,
-    errors,
-    read_record,
-)
+from robot_client.session.commission.record import RECORD, Record, read_record
+from robot_client.session.commission.run import FITS, PRESSES, REACH, Commissioning, Ended, errors
+from robot_client.session.commission.wiring import SIDES, WENT_IN, probe_of
 from robot_client.session.cycle import CycleSettings, is_empty
 from robot_client.session.recorder import Recorder
 from robot_client.session.runner import Runner
-from robot_client.session.wiring import SIDES, WENT_IN, probe_of
 from robot_client.settings import Settings, SettingsError
 from service.contract import wire
 from service.contract.frames import Finger

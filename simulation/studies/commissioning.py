@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reporting.files import write_json
-from robot_client.session.commission import FITS, REACH, errors
+from robot_client.session.commission.run import FITS, REACH, errors
 from service.contract import ContractError
 from simulation.closed_loop import benchmark
 from simulation.closed_loop.job import job_in

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_client.session.wiring import SIDES, WENT_IN, Probe, mistakes, wiring_mistakes
+from robot_client.session.commission.wiring import SIDES, WENT_IN, Probe, mistakes, wiring_mistakes
 from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row
 from simulation.scene.scene import Scene

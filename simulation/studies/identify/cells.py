@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from robot_client.session.commission import PRESSES
-from robot_client.session.wiring import SIDES
+from robot_client.session.commission.run import PRESSES
+from robot_client.session.commission.wiring import SIDES
 from service.contract import ContractError
 from simulation.closed_loop.job import job_in
 from simulation.data.drawn_cells import SETTLE_MM

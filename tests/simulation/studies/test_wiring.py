@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from robot_client.session.wiring import SIDES
+from robot_client.session.commission.wiring import SIDES
 from simulation.studies.wiring import named_mistakes
 
 
