@@ -161,6 +161,8 @@ def _miswired(options: Options, made_by: str, log: Path) -> dict[str, str]:
             if (causes := named_wirings(four))
         }
         left = [world for world, four in zip(left, answers, strict=True) if not carried_out(four)]
+        if not left:
+            break
     return named
 
 
