@@ -11,20 +11,9 @@ from robot_client.insertion.events import Event, FromService
 from robot_client.insertion.limits import check_pose
 from robot_client.insertion.state import State
 from robot_client.ports import DriverError
-from robot_client.session.commission import (
-    FITS,
-    PRESSES,
-    REACH,
-    RECORD,
-    SIDES,
-    WENT_IN,
-    Commissioning,
-    Ended,
-    Record,
-    errors,
-    probe_of,
-    read_record,
-)
+from robot_client.session.commission.record import RECORD, Record, read_record
+from robot_client.session.commission.run import FITS, PRESSES, REACH, Commissioning, Ended, errors
+from robot_client.session.commission.wiring import SIDES, WENT_IN, probe_of
 from robot_client.session.cycle import CycleSettings, is_empty
 from robot_client.session.recorder import Recorder
 from robot_client.session.runner import Runner

@@ -9,7 +9,7 @@ from robot_client.insertion.lease import PAUSE_S
 from robot_client.insertion.state import Phase, Plan, State
 from robot_client.ports import Arm, DecisionService, Gripper
 from robot_client.session.afresh import Fixture, new_id, upright
-from robot_client.session.commission import commissioned
+from robot_client.session.commission.record import commissioned
 from robot_client.session.recorder import Recorder
 from robot_client.session.rehearsal import rehearsal_ports
 from robot_client.session.report import Report

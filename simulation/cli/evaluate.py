@@ -1,7 +1,8 @@
 """`python -m simulation evaluate`: every world with every object in lock step, on all cores, resumable, as rows."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,9 +12,11 @@ from reporting.files import write_json
 from service.contract.shipped import released_models
 from simulation.closed_loop import benchmark, campaign
 from simulation.closed_loop.campaign import Task
-from simulation.closed_loop.job import Perception, Who
+from simulation.closed_loop.job import Job, Outcome, Perception, Who
 from simulation.closed_loop.statistics import Row
+from simulation.scene.scene import Scene
 from simulation.scene.worlds import World, files_in, known_object, load_objects, load_world, object_names
+from simulation.studies.wiring import by_fit, carried_out, named_wirings, probes
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,9 @@ class Options(Played):
     Every world is played with every object, from start errors drawn uniformly. JSON gets a list of rows, one per pair
     of world and object; single insertions go to a log beside it as they come. A second call resumes the first, also
     after a kill. All figures are simulated.
+
+    As on a real cell, four probes first check how each world is wired. Where they name a mistake, all insertions count
+    as refused for it.
     """
 
     worlds: tuple[str, ...] = ()
@@ -77,6 +83,8 @@ class Options(Played):
     """one of the service's, or the oracle, which moves by the true error (an upper bound)"""
     given_reach: bool = False
     """the client sends the gel's shear reach, with the error (15 %) of a cell that has measured it"""
+    uncommissioned: bool = False
+    """insert without the four probes, as `insert --live --uncommissioned` does"""
     json: Path = Path("runs/evaluation.json")
     """file for the rows"""
 
@@ -87,8 +95,7 @@ def main(arguments: list[str]) -> int:
     options.check()
     todo = tasks(options)
     options.json.parent.mkdir(parents=True, exist_ok=True)
-    log = options.json.with_suffix(".insertions.jsonl")
-    rows = benchmark.table(campaign.run(todo, log, workers=options.workers, ray=options.ray))
+    rows = benchmark.table(_played(options, todo))
     write_json(options.json, rows)
     for row in rows:
         print(_line(row))
@@ -96,22 +103,79 @@ def main(arguments: list[str]) -> int:
 
 
 def tasks(options: Options) -> list[Task]:
-    """Everything to play; logged results of other code or networks are ignored."""
-    worlds, objects = (
-        [load_world(file) for file in files_in(options.worlds)] or [World()],
-        load_objects(options.objects),
-    )
+    """Everything to play; logged results of other code or networks are ignored.
+
+    Raises ValueError for a world whose sensor the networks do not read.
+    """
+    from simulation.closed_loop.play import models_of  # imports the service's pipeline
+
+    worlds, objects = _what(options)
+    read = models_of(options.models).card.frame
+    for world, scene in product(worlds, objects.values()):
+        if (sensor := world.around(scene).sensor).rectified != read:
+            raise ValueError(
+                f"world {world.name}, object {scene.name}: pictures of the sensor {sensor.name} are "
+                f"{sensor.width_px} x {sensor.height_px} px; the networks in {options.models} read "
+                f"{read.width_px} x {read.height_px}"
+            )
     made_by = campaign.made_by({options.controller: options.models})
+    return benchmark.tasks(worlds, objects, options.count, options.seed, options.models, made_by, **_how(options))
+
+
+def _what(options: Options) -> tuple[list[World], dict[str, Scene]]:
+    return [load_world(file) for file in files_in(options.worlds)] or [World()], load_objects(options.objects)
+
+
+def _how(options: Options) -> dict[str, Any]:
+    """Fields of `Job` that all insertions share."""
     asked: dict[str, Any] = {"controller": options.controller, "perception": options.perception}
     if options.given_reach:
         asked["given_reach"] = True
     if options.cell == "foreign":
         asked["cell"] = "foreign"
-    return benchmark.tasks(worlds, objects, options.count, options.seed, options.models, made_by, **asked)
+    return asked
+
+
+def _played(options: Options, todo: Sequence[Task]) -> list[Row]:
+    """Rows of ``todo``; where the wiring check names a mistake, nothing is played."""
+    log = options.json.with_suffix(".insertions.jsonl")
+    blind = options.uncommissioned or options.controller == "oracle"
+    named = {} if blind else _miswired(options, todo[0].made_by, log)
+    fit = [task for task in todo if task.job["condition"] not in named]
+    played = iter(campaign.run(fit, log, workers=options.workers, ray=options.ray))
+    return [_refused(task, cause) if (cause := named.get(task.job["condition"])) else next(played) for task in todo]
+
+
+def _miswired(options: Options, made_by: str, log: Path) -> dict[str, str]:
+    """Mistake of each world that has one, found with the first object with which all four probes were carried out."""
+    worlds, objects = _what(options)
+    named, left = dict[str, str](), list(worlds)
+    for name in by_fit(objects):
+        jobs = [probes(world, name, options.seed, **_how(options)) for world in left]
+        todo = [Task(options.models, job, made_by) for four in jobs for job in four]
+        rows = iter(campaign.run(todo, log, workers=options.workers, ray=options.ray, title="probes of the wiring"))
+        answers = [[next(rows) for _ in four] for four in jobs]
+        named |= {
+            world.name: "; ".join(causes)
+            for world, four in zip(left, answers, strict=True)
+            if (causes := named_wirings(four))
+        }
+        left = [world for world, four in zip(left, answers, strict=True) if not carried_out(four)]
+        if not left:
+            break
+    return named
+
+
+def _refused(task: Task, cause: str) -> Row:
+    """The row of an insertion into a cell whose commissioning named a mistake."""
+    cause = cause.removeprefix("contradictory: ")
+    outcome = Outcome.never_began(Job(**task.job), f"commissioning: contradictory: {cause}")
+    return {**task.job, **asdict(outcome)}
 
 
 def _line(row: Row) -> str:
     known = known_object(row["object"])
     paper = f"; the paper's real robot: {known.paper.mean_trials:g}" if known and known.paper else ""
     inserted = f"{row['inserted']}/{row['insertions']} inserted, mean trials {row['mean_trials']:.2f}"
-    return f"{row['world']}, {row['object']}: {inserted} (simulated{paper})"
+    ended = "".join(f"\n  {count} x {reason}" for reason, count in row["reasons"].items())
+    return f"{row['world']}, {row['object']}: {inserted} (simulated{paper}){ended}"

@@ -99,13 +99,13 @@ def _setup(path: Path) -> dict[str, str]:
     return before
 
 
-def run(tasks: Sequence[Task], log: Path, *, workers: int = 0, ray: str = "") -> list[Row]:
+def run(tasks: Sequence[Task], log: Path, *, workers: int = 0, ray: str = "", title: str = "insertions") -> list[Row]:
     """Play what the log lacks, with progress and ETA; returns the row of each of ``tasks`` once, in their order."""
     wanted = {task.key: task for task in tasks}
     rows = {key: row for row in read_rows(log) if (key := key_of(row)) in wanted and wanted[key].made(row)}
     missing = [task for key, task in wanted.items() if key not in rows]
     _end_line(log)
-    with log.open("a", encoding="utf-8") as file, progress("insertions (simulated)", len(missing)) as show:
+    with log.open("a", encoding="utf-8") as file, progress(f"{title} (simulated)", len(missing)) as show:
         for done, row in enumerate(results(play, missing, workers, ray), 1):
             rows[key_of(row)] = row
             file.write(json.dumps(row) + "\n")

@@ -22,7 +22,7 @@ MEASURED = 0.15
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One insertion to play: object, start error, seed, controller, perception, and world.
+    """One insertion to play, or one probe: object, start error, seed, controller, perception, and world.
 
     ``scene`` is an object by name or path. The start error is the commanded one. It is also the object's, unless the
     world misplaces the hand.
@@ -42,6 +42,8 @@ class Job:
 
     ``client``: tables of the client's configuration as in `cell.toml`; with them the arm starts above the approach and
     follows the client's ramps, descent and settling time.
+
+    ``purpose`` "probe": it ends with its first decision, as the probes of a commissioning do.
     """
 
     scene: str
@@ -58,6 +60,7 @@ class Job:
     fault: Mapping[str, Any] = field(default_factory=dict)
     given_reach: bool = False
     client: Mapping[str, Any] = field(default_factory=dict)
+    purpose: Literal["insert", "probe"] = "insert"
 
     def build_scene(self) -> Scene:
         """The object in its world; the blocks are free unless the world fixes them. Raises SceneError."""
@@ -145,7 +148,7 @@ class Outcome:
     unseen_allowed_mm: float = 0.0
 
     @classmethod
-    def never_held(cls, job: Job, reason: str) -> "Outcome":
-        """The outcome for an object that could not be grasped at all."""
+    def never_began(cls, job: Job, reason: str, *, void: bool = False) -> "Outcome":
+        """The outcome for an object that could not be grasped (void), or that nobody was allowed to insert."""
         start = (job.x_mm, job.theta_deg)
-        return cls(False, False, 0, reason, True, start, grasp_kept=False, course=Course())
+        return cls(False, False, 0, reason, void, start, grasp_kept=False, course=Course())

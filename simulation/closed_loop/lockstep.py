@@ -171,14 +171,15 @@ class LockstepCell:
     def open_pair(self) -> FramePair:
         """Both fingers' frames of this moment as they would be with nothing between the fingers; takes no time."""
         gel = np.zeros_like(self.state.gel[0])
+        pictures = (
+            self._delivered(index, self.view(index).raw(gel, hash_seed(self.seed, 0, index, 3)))
+            if self.draws
+            else _NOTHING
+            for index in range(len(FINGERS))
+        )
         left, right = (
-            TactileFrame(
-                finger,
-                self.frame,
-                self.now_ns,
-                camera.raw(gel, hash_seed(self.seed, 0, k, 3)) if self.draws else _NOTHING,
-            )
-            for k, (finger, camera) in enumerate(zip(FINGERS, self.cameras, strict=True))
+            TactileFrame(finger, self.frame, self.now_ns, picture)
+            for finger, picture in zip(FINGERS, pictures, strict=True)
         )
         return FramePair(left, right)
 
@@ -247,13 +248,12 @@ class LockstepCell:
     def picture_later(self, index: int) -> Callable[[], Image]:
         """A finger's raw frame of this moment, drawn on request with the same bits as now."""
         (gel, before), seed = self.gels(index), hash_seed(self.seed, self.frame, index)
-        camera, mirrored = self.view(index), self.unstated.mirrored[index]
+        camera = self.view(index)
+        return lambda: self._delivered(index, camera.raw(gel, seed, before))
 
-        def draw() -> Image:
-            raw = camera.raw(gel, seed, before)
-            return np.ascontiguousarray(raw[:, ::-1]) if mirrored else raw
-
-        return draw
+    def _delivered(self, index: int, raw: Image) -> Image:
+        """A raw frame as that camera delivers it."""
+        return np.ascontiguousarray(raw[:, ::-1]) if self.unstated.mirrored[index] else raw
 
     def _go(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> bool:
         """Advance; False where no equilibrium was found: the arm then lags by a part of the move."""

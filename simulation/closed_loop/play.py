@@ -268,7 +268,7 @@ def stage(job: Job, models: ModelSet) -> Insertion:
     build = partial(LockstepCell.build, make=job.mechanics(), cameras=job.cameras())
     unstated, draws = Unstated.model_validate(job.unstated), perception == "pictures"
     cell = build(scene, job.x_mm, job.theta_deg, job.seed, unstated=unstated, draws=draws)
-    return Insertion(
+    insertion = Insertion(
         cell,
         models,
         job.controller,
@@ -277,6 +277,8 @@ def stage(job: Job, models: ModelSet) -> Insertion:
         reach_mm=job.measured_reach_mm(scene),
         client=client,
     )
+    insertion.state = State(insertion.state.plan.model_copy(update={"purpose": job.purpose}))
+    return insertion
 
 
 def insert(job: Job, models: ModelSet) -> dict[str, Any]:
@@ -287,7 +289,7 @@ def insert(job: Job, models: ModelSet) -> dict[str, Any]:
     try:
         outcome = stage(job, models).run()
     except PhysicsError as error:
-        outcome = Outcome.never_held(job, f"physics: {error}")
+        outcome = Outcome.never_began(job, f"physics: {error}", void=True)
     return asdict(job) | asdict(outcome)
 
 

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 FOLLOWING, HOLDING, ROUNDS = 20, 60, 40
 CURVED = 8  # iterations in which the held surface's planes are renewed; at a kink they would jump for ever
+RENEWALS = 6  # times that nodes may have slid on to other planes by the end of the iteration
 NEARLY_N = 1e-4  # when a round changes the limits by less, Newton finishes
 BALANCING, BALANCED, SEARCHING, OVERSHOT = 8, 1e-2, 5, 0.5
 STUCK = 1e-5  # below this relative change per iteration the residual has stalled
@@ -117,9 +118,18 @@ class Step:
     def run(self, tolerance_n: float, limit: Array | None, most: int) -> float:
         """Newton's iteration with limits held [n] or following (None). The residual, N; infinite: not at rest."""
         try:
-            return self._run(tolerance_n, limit, most)
+            for _ in range(RENEWALS):
+                residual = self._run(tolerance_n, limit, most)
+                if residual > tolerance_n or self._on_the_surface(tolerance_n, limit):
+                    return residual
         except np.linalg.LinAlgError:
-            return np.inf
+            pass
+        return np.inf
+
+    def _on_the_surface(self, tolerance_n: float, limit: Array | None) -> bool:
+        """Whether the nodes are also at rest on the planes next to where they came to lie."""
+        planes = self.pads.planes(self.held, self.grip.on)
+        return self.pads.evaluate(self.grip, planes, self.start, limit).amiss_n <= tolerance_n
 
     def _run(self, tolerance_n: float, limit: Array | None, most: int) -> float:
         pads, grip, drive = self.pads, self.grip, self.drive

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from reporting.files import write_json
-from robot_client.session.commission import FITS, REACH, SIDES, errors
+from robot_client.session.commission.run import FITS, REACH, errors
 from service.contract import ContractError
 from simulation.closed_loop import benchmark
 from simulation.closed_loop.job import job_in
@@ -27,17 +27,17 @@ from simulation.data.parallel import results
 from simulation.data.progress import progress
 from simulation.scene import drawn
 from simulation.scene.scene import Scene
-from simulation.scene.shapes import half_width_mm
 from simulation.scene.worlds import World
-from simulation.studies.episodes import Episode, carried_out, named_mistakes, play
+from simulation.studies.episodes import Episode, play
 from simulation.studies.pace.points import client, with_care
+from simulation.studies.wiring import by_fit, carried_out, named_mistakes, probes, seed_of
 
 COUNTED = (
     *("direction_right", "direction_n", "mae_x_mm", "mae_theta_deg", "covered_x", "covered_theta"),
     *("mean_trials", "inserted", "insertions", "claimed_wrongly"),
 )
 VERSIONS = ("released", "after_50", "after_150", "after_work")
-PROBES, WORK, SCORING, SIGNS = 1, 2, 3, 4
+PROBES, WORK, SCORING = 1, 2, 3
 FEW = 50
 REFUSED, STAYS = 2, 3
 """Exit statuses of `training adapt`: invalid input, such as nothing to learn from, and a release that stays."""
@@ -82,26 +82,22 @@ class Cell:
             scene = self.objects[name]
             within = min(REACH[0], scene.x_range_mm), min(REACH[1], scene.theta_range_deg)
             starts.append(errors(self.seed, *within, FITS)(index))
-        return self._jobs(names, starts, PROBES)
+        return [{**job, "purpose": "probe"} for job in self._jobs(names, starts, PROBES)]
 
     def signs(self) -> Iterator[list[Row]]:
-        """The four sides with each object, as a reversed arm takes it from the fixture; the worst fit first."""
-        arm, turned_deg = self.world.unstated, SIDES[0][1]
-
-        def too_wide_mm(name: str) -> float:
-            scene = self.objects[name]
-            return 2.0 * half_width_mm(scene.object.footprint_mm, turned_deg) - scene.blocks.gap_mm
-
-        for name in sorted(self.objects, key=too_wide_mm, reverse=True):
-            yield self._jobs([name] * len(SIDES), np.array(SIDES) * (arm.x_sign, arm.yaw_sign), SIGNS)
+        """The four probes of the wiring check with each object, the worst fit first."""
+        for name in by_fit(self.objects):
+            yield probes(self.world, name, self.seed, **self._asked(name))
 
     def _jobs(self, names: Sequence[str], starts: ArrayLike, purpose: int) -> list[Row]:
         rows = []
         for index, (name, (x_mm, theta_deg)) in enumerate(zip(names, np.asarray(starts, float), strict=True)):
-            seed = int(np.random.SeedSequence((self.seed, purpose, index)).generate_state(1)[0])
-            more = {"cell": self.cell, "client": with_care(client(), self.world, name)}
-            rows.append(job_in(self.world, name, index, (x_mm, theta_deg), seed, **more))
+            seed = seed_of(self.seed, purpose, index)
+            rows.append(job_in(self.world, name, index, (x_mm, theta_deg), seed, **self._asked(name)))
         return rows
+
+    def _asked(self, name: str) -> Row:
+        return {"cell": self.cell, "client": with_care(client(), self.world, name)}
 
 
 @dataclass(frozen=True)
@@ -128,16 +124,16 @@ def commission(cell: Cell, plan: Plan) -> Row:
     """
     signs: list[Row] = []
     for number, jobs in enumerate(cell.signs(), 1):
-        signs = _played(cell, plan, f"signs-{number}", jobs, probe=True, in_order=True)
+        signs = _played(cell, plan, f"signs-{number}", jobs, in_order=True)
         if carried_out(signs):
             break
     row: Row = {"world": cell.world.name, "mistakes_named": named_mistakes(signs), "signs_told": carried_out(signs)}
     if row["mistakes_named"] or not plan.probes:
         row |= {name: {**dict.fromkeys(COUNTED, 0), **dict.fromkeys(COUNTED[2:7])} for name in VERSIONS}
         return {**row, "robot_minutes": _minutes(signs), "adapt_s": 0.0, "accepted": False, "verdicts": {}}
-    probes = _played(cell, plan, "probes", cell.probes(plan.probes), probe=True)
+    probes = _played(cell, plan, "probes", cell.probes(plan.probes))
     if plan.work:
-        _played(cell, plan, "work", cell.jobs(plan.work, WORK), probe=False)
+        _played(cell, plan, "work", cell.jobs(plan.work, WORK))
     around_s = _pressed_around(cell, plan) if plan.around else 0.0
     row["released"] = _scored(cell, plan, "released", plan.models)
     outcomes = {}
@@ -192,12 +188,11 @@ def _played(
     name: str,
     jobs: Sequence[Row],
     *,
-    probe: bool,
     models: Path | None = None,
     in_order: bool = False,
 ) -> list[Row]:
     folder = cell.folder / name
-    episodes = [Episode(folder / f"{index:05d}", models or plan.models, job, probe) for index, job in enumerate(jobs)]
+    episodes = [Episode(folder / f"{index:05d}", models or plan.models, job) for index, job in enumerate(jobs)]
     rows = []
     with progress(f"{cell.world.name}: {name} (simulated)", len(episodes)) as show:
         for done, row in enumerate(results(play, episodes, plan.workers, in_order=in_order), 1):
@@ -209,7 +204,7 @@ def _played(
 def _scored(cell: Cell, plan: Plan, name: str, models: Path) -> Row:
     """The same fresh starts for every version of the networks."""
     jobs = cell.jobs(plan.insertions, SCORING)
-    rows = _played(cell, plan, f"judged-{name}", jobs, probe=False, models=models)
+    rows = _played(cell, plan, f"judged-{name}", jobs, models=models)
     counted = {**ends(rows), **benchmark.first_answers(rows)}
     return {key: counted[key] for key in COUNTED}
 

@@ -8,7 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from robot_client.session.commission import PRESSES, SIDES
+from robot_client.session.commission.run import PRESSES
+from robot_client.session.commission.wiring import SIDES
 from service.contract import ContractError
 from simulation.closed_loop.job import job_in
 from simulation.data.drawn_cells import SETTLE_MM
@@ -80,7 +81,7 @@ def _probed(cell: Cell, tables: drawn.Tables) -> Floats:
     for group, (grip_n, starts, until_slip) in enumerate(kinds):
         for index, start in enumerate(starts):
             job = _job(cell, world, body, (start, index, group), grip_n)
-            play(Episode(cell.folder / f"{group}{index}", cell.models, job, probe=True, until_slip=until_slip))
+            play(Episode(cell.folder / f"{group}{index}", cell.models, job, until_slip=until_slip))
     return recorded.read(cell.folder).numbers(scene)
 
 
@@ -91,5 +92,5 @@ def _job(
     tables = dict(with_care(client(), world, str(body)))
     if cell.play != "whole":
         tables["task"] = {"approach_clearance_mm": CLOSER_MM}
-    job = job_in(world, str(body), index, start, cell.number * 16 + group * 4 + index, client=tables)
+    job = job_in(world, str(body), index, start, cell.number * 16 + group * 4 + index, client=tables, purpose="probe")
     return {**job, "changes": {**job["changes"], "grasp.force_n": grip_n, **SAVES[cell.play]}}

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_client.session.commission import PRESSES, SIDES
+from robot_client.session.commission.run import PRESSES
+from robot_client.session.commission.wiring import SIDES
 from service.contract import ContractError, Sensor
 from service.contract.model_card import CONDITIONS
 from simulation.scene.scene import Scene

@@ -15,17 +15,9 @@ from robot_client.insertion.events import Move, Send, Standstill
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.state import Phase, State
 from robot_client.ports import DriverError
-from robot_client.session.commission import (
-    PRESSES,
-    SIDES,
-    Commissioning,
-    Ended,
-    Record,
-    errors,
-    keep_record,
-    probe_of,
-    read_record,
-)
+from robot_client.session.commission.record import Record, keep_record, read_record
+from robot_client.session.commission.run import PRESSES, Commissioning, Ended, errors
+from robot_client.session.commission.wiring import SIDES, probe_of
 from robot_client.settings import Settings
 from service.contract import wire
 from service.contract.frames import ContractError
@@ -43,7 +35,7 @@ from tests.robot_client.insertion.stories import (
     run,
     service,
 )
-from tests.robot_client.session.test_signs import answers, felt
+from tests.robot_client.session.test_wiring import answers, felt
 
 PROBE = State(PLAN.model_copy(update={"purpose": "probe"}))
 

@@ -42,7 +42,7 @@ def test_a_finished_run_is_not_played_again(models, tmp_path, monkeypatch, capsy
     done = [dict(ROW) | dict(task.job) | {"attempts": 1, "made_by": task.made_by} for task in evaluate.tasks(options)]
     log = tmp_path / "rows.insertions.jsonl"
     log.write_text("\n".join(json.dumps(row) for row in done) + '\n{"cut by a ki')
-    assert evaluate.main(arguments(models, tmp_path / "rows.json")) == 0
+    assert evaluate.main([*arguments(models, tmp_path / "rows.json"), "--uncommissioned"]) == 0
     assert "circle: 2/2 inserted, mean trials 1.00 (simulated; the paper's real robot: 2.97)" in capsys.readouterr().out
 
 

@@ -107,3 +107,17 @@ def test_a_cell_that_measured_its_reach_tells_it_a_little_wrong_and_another_tell
     _, reach_mm = conditions(replace(job, given_reach=True))
     assert reach_mm != pytest.approx(true_mm, rel=1e-3)
     assert reach_mm == pytest.approx(true_mm, rel=0.6)
+
+
+def test_open_gels_are_seen_as_the_cameras_are_wired():
+    scene = load_scene("rectangle", camera__noise_grey=0.0)
+
+    def opened(**unstated):
+        cell = LockstepCell.build(scene, 6.0, 0.0, seed=3, unstated=Unstated(**unstated), draws=True)
+        pair = cell.open_pair()
+        return pair.left.pixels, pair.right.pixels
+
+    left, right = opened()
+    assert not np.array_equal(left, right)
+    np.testing.assert_array_equal(opened(swapped_fingers=True), (right, left))
+    np.testing.assert_array_equal(opened(mirrored=(False, True)), (left, right[:, ::-1]))

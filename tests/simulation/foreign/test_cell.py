@@ -46,8 +46,8 @@ def test_what_the_pads_do_balances_blocks_and_weight(pressed):
     assert state.residual_n <= TOLERANCE_N
 
 
-def test_no_node_pulls_penetrates_or_leaves_the_friction_cone(pressed):
-    cell, _ = pressed
+def lawful(cell):
+    """Fail where a node pulls, penetrates the surface next to it, or leaves its friction cone there."""
     grip, planes = cell.grip, cell.pads.planes(cell.held, cell.grip.on)
     terms = cell.pads.evaluate(grip, planes, grip.on, None)
     drag = np.linalg.norm(terms.drag, axis=1)
@@ -56,8 +56,20 @@ def test_no_node_pulls_penetrates_or_leaves_the_friction_cone(pressed):
     assert np.abs(terms.forces[~closed]).max(initial=0.0) <= 1e-6
     assert planes.gap(grip.on).min() >= -1e-9
     assert (drag - cell.pads.friction * terms.pressing)[closed].max() <= 1e-6
-    assert (grip.status == SLIP).any()
-    assert (grip.status == STICK).any()
+
+
+def test_no_node_pulls_penetrates_or_leaves_the_friction_cone(pressed):
+    cell, _ = pressed
+    lawful(cell)
+    assert (cell.grip.status == SLIP).any()
+    assert (cell.grip.status == STICK).any()
+
+
+@pytest.mark.parametrize("theta_deg", [0.0, 7.0])
+def test_a_gel_that_slides_far_along_a_curve_is_at_rest_where_it_comes_to_lie(theta_deg):
+    cell = held("ellipse", 3.0, theta_deg, gel__friction=0.2, numerics__load_step_mm=1.0)
+    lowered(cell, 0.6)
+    lawful(cell)
 
 
 def test_the_grip_is_what_the_scene_says():

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_client.insertion.geometry import WorkPose
-from robot_client.session.commission import SIDES, WENT_IN, mistakes, probe_of
+from robot_client.session.commission.wiring import SIDES, WENT_IN, mistakes, probe_of
 from service.contract import wire
 from service.contract.words.wiring import WIRINGS
 from tests.robot_client.insertion.stories import correction

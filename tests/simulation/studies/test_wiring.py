@@ -1,10 +1,10 @@
-"""An episode stores what training reads, and four probes show a cell's wiring."""
+"""Four probes show how a cell is wired."""
 
 import numpy as np
 import pytest
 
-from robot_client.session.commission import SIDES
-from simulation.studies.episodes import named_mistakes
+from robot_client.session.commission.wiring import SIDES
+from simulation.studies.wiring import named_mistakes
 
 
 def probe(x_mm, theta_deg, felt, sigma=1.5):

@@ -1,0 +1,76 @@
+"""The record of a cell's commissioning, which `insert --live` demands."""
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, ValidationError
+
+from robot_client.session.commission.wiring import SIDES, Probe, mistakes
+from service.contract.frames import Contract, ContractError, Finger, first_error
+
+RECORD = "commissioning.json"
+
+
+class Record(Contract):
+    """A stored commissioning. ``seed`` determines the errors of all probes, ``named`` are mistakes of the cell.
+
+    ``gels`` are those of its first probe, by the service's names. ``presses`` continued until the gel slid. ``sha256``
+    covers all other fields as written.
+    """
+
+    version: Literal[1] = 1
+    begun: str
+    seed: int = Field(ge=0)
+    object: str = ""
+    gels: dict[Finger, str] = Field(default_factory=dict)
+    signs: tuple[Probe, ...] = ()
+    named: tuple[str, ...] = ()
+    presses: tuple[Probe, ...] = ()
+    probes: tuple[Probe, ...] = ()
+    sha256: str = ""
+
+    def digest(self) -> str:
+        """SHA-256 of all other fields."""
+        younger = {"presses"} if not self.presses else set()  # older records without presses keep their digest
+        content = self.model_dump(mode="json", exclude={"sha256", *younger})
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def commissioned(path: Path) -> Record:
+    """The record of a cell that may insert; raises ContractError for an uncommissioned cell, or named mistakes."""
+    record = read_record(path)
+    if record is None or len(record.signs) < len(SIDES):
+        raise ContractError(f"{path}: this cell was not commissioned to the end; run `commission --live`")
+    if named := record.named or mistakes(record.signs):  # it may have been interrupted before they were written
+        raise ContractError(f"{path} names mistakes; mend them and commission again: {'; '.join(named)}")
+    return record
+
+
+def read_record(path: Path) -> Record | None:
+    """The record at ``path``, None if there is none yet; raises ContractError for any other file, or if edited."""
+    try:
+        record = Record.model_validate_json(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise ContractError(f"cannot read {path}: {error.strerror}") from None
+    except ValidationError as error:
+        raise ContractError(f"{path} is no record of a commissioning: {first_error(error)}") from None
+    if record.sha256 != record.digest():
+        raise ContractError(f"{path} is not as it was written: commission the cell again")
+    return record
+
+
+def keep_record(path: Path, record: Record) -> None:
+    """Write it atomically, with its digest, so that a kill or a power cut leaves the previous record."""
+    record = record.model_copy(update={"sha256": record.digest()})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(".tmp")
+    with temporary.open("w", encoding="utf-8") as file:
+        file.write(json.dumps(record.model_dump(mode="json"), indent=1) + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)

@@ -1,0 +1,118 @@
+"""The first day of a cell: probes with known errors, first to check its wiring, then to learn from.
+
+A probe is a guarded descent from a known error that ends with its first decision; nothing is inserted. All limits, the
+motion lease and every fault of an insertion apply to it. Results are stored after each probe, so that an interrupted
+commissioning resumes: at most the probe under way is lost.
+"""
+
+import asyncio
+import random
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from robot_client.insertion.state import Phase
+from robot_client.ports import DriverError
+from robot_client.session.commission.record import Record, keep_record
+from robot_client.session.commission.wiring import SIDES, Probe, mistakes
+from service.contract.frames import Finger
+
+PRESSES = ((0.0, 15.0), (0.0, -15.0))
+"""Errors of the presses that identify the gel: a turned object lies on both blocks and is pushed straight up."""
+REACH = (15.0, 15.0)
+"""Largest errors of probes to learn from: the training range of the released networks."""
+FITS = (2.5, 3.0)
+"""Approximate errors that insert: no probe begins there."""
+
+
+class Ended(NamedTuple):
+    """How a probe ended: its stored form, the phase, the reason if it failed, and the service's gels."""
+
+    probe: Probe
+    phase: Phase
+    reason: str
+    gels: dict[Finger, str]
+
+
+def errors(seed: int, x_mm: float, theta_deg: float, fits: tuple[float, float]) -> Callable[[int], tuple[float, float]]:
+    """Known error of probe ``number``, uniform within +-x_mm and +-theta_deg except for errors that fit the gap."""
+    fits = min(fits[0], 0.5 * x_mm), min(fits[1], 0.5 * theta_deg)
+
+    def of(number: int) -> tuple[float, float]:
+        drawn = random.Random(f"{seed}/{number}")
+        while True:
+            x, theta = drawn.uniform(-x_mm, x_mm), drawn.uniform(-theta_deg, theta_deg)
+            if abs(x) > fits[0] or abs(theta) > fits[1]:
+                return round(x, 2), round(theta, 2)
+
+    return of
+
+
+@dataclass(slots=True)
+class Commissioning:
+    """Carries out the commissioning. ``probe`` is one probe from the arm's present pose, ``fetch`` regrasps the object.
+
+    ``press`` is a probe that goes on until the gel slides; None: no presses. ``path`` is the record's; its probes are
+    not repeated.
+    """
+
+    path: Path
+    record: Record
+    probe: Callable[[float, float], Awaitable[Ended]]
+    fetch: Callable[[], Awaitable[None]]
+    draw: Callable[[int], tuple[float, float]]
+    show: Callable[[str], None]
+    press: Callable[[float, float], Awaitable[Ended]] | None = None
+    _began_s: float = field(default_factory=time.monotonic)
+
+    async def run(self, probes_n: int) -> Record:
+        """Wiring check first; if it fails nothing else is done. Raises DriverError if the cell fails or is stopped."""
+        try:
+            while len(self.record.signs) < len(SIDES):
+                number = len(self.record.signs)
+                done = await self._probe(f"sign {number + 1} of {len(SIDES)}", *SIDES[number])
+                self._keep(signs=(*self.record.signs, done))
+            self._keep(named=mistakes(self.record.signs))
+            while self.press and not self.record.named and len(self.record.presses) < len(PRESSES):
+                number = len(self.record.presses)
+                title = f"press {number + 1} of {len(PRESSES)}"
+                done = await self._probe(title, *PRESSES[number], self.press)
+                self._keep(presses=(*self.record.presses, done))
+            while not self.record.named and len(self.record.probes) < probes_n:
+                number = len(self.record.probes)
+                done = await self._probe(f"probe {number + 1} of {probes_n}{self._left(probes_n)}", *self.draw(number))
+                self._keep(probes=(*self.record.probes, done))
+        except asyncio.CancelledError:
+            raise DriverError(
+                "operator: interrupted between two probes, nothing moves; run it again to go on"
+            ) from None
+        return self.record
+
+    async def _probe(
+        self, title: str, x_mm: float, theta_deg: float, how: Callable[[float, float], Awaitable[Ended]] | None = None
+    ) -> Probe:
+        await self.fetch()  # each time: it drifts in the hand, and open gels are learnt before a grasp
+        done, phase, reason, gels = await (how or self.probe)(x_mm, theta_deg)
+        if phase is not Phase.PROBED:
+            raise DriverError(f"{title}: {reason}")
+        if gels != (self.record.gels or gels):
+            raise DriverError(f"{title}: a gel was changed or calibrated again; remove {self.path} and begin anew")
+        self.record = self.record.model_copy(update={"gels": gels})
+        felt = done.said
+        if done.estimate_x_mm is not None and done.estimate_theta_deg is not None:
+            felt = f"felt {done.estimate_x_mm:+.1f} mm, {done.estimate_theta_deg:+.1f} deg"
+        self.show(f"{title}: {x_mm:+.1f} mm, {theta_deg:+.1f} deg; {felt}")
+        return done
+
+    def _left(self, probes_n: int) -> str:
+        done_n = len(self.record.probes) + len(self.record.signs)
+        if done_n <= len(SIDES):
+            return ""
+        left_s = (time.monotonic() - self._began_s) / done_n * (probes_n + len(SIDES) - done_n)
+        return f", {left_s / 60.0:.0f} min left" if left_s > 90.0 else ""
+
+    def _keep(self, **changed: object) -> None:
+        self.record = self.record.model_copy(update=changed)
+        keep_record(self.path, self.record)

@@ -1,0 +1,79 @@
+"""The wiring check in lock step: four probes at known errors, before a cell may insert anything."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from robot_client.session.commission.wiring import SIDES, WENT_IN, Probe, mistakes, wiring_mistakes
+from simulation.closed_loop.job import job_in
+from simulation.closed_loop.statistics import Row
+from simulation.scene.scene import Scene
+from simulation.scene.shapes import half_width_mm
+from simulation.scene.worlds import World
+
+SIGNS = 4
+"""Separates the seeds of these probes from those of everything else that is played in a cell."""
+
+
+def by_fit(objects: Mapping[str, Scene]) -> list[str]:
+    """Their names, the one that fits its gap worst when turned first: its probes surely touch both blocks."""
+    turned_deg = SIDES[0][1]
+
+    def too_wide_mm(name: str) -> float:
+        scene = objects[name]
+        return 2.0 * half_width_mm(scene.object.footprint_mm, turned_deg) - scene.blocks.gap_mm
+
+    return sorted(objects, key=too_wide_mm, reverse=True)
+
+
+def seed_of(seed: int, purpose: int, index: int) -> int:
+    """Seed of one probe or insertion of a cell."""
+    return int(np.random.SeedSequence((seed, purpose, index)).generate_state(1)[0])
+
+
+def probes(world: World, name: str, seed: int, **job: Any) -> list[Row]:
+    """Jobs of the four probes with an object, as an arm with reversed axes carries it; ``job``: fields of `Job`."""
+    arm = world.unstated
+    starts = [(x_mm * arm.x_sign, theta_deg * arm.yaw_sign) for x_mm, theta_deg in SIDES]
+    return [
+        job_in(world, name, index, start, seed_of(seed, SIGNS, index), purpose="probe", **job)
+        for index, start in enumerate(starts)
+    ]
+
+
+def carried_out(rows: Sequence[Row]) -> bool:
+    """Whether each of these probes was answered or inserted; else the client would have stopped there."""
+    return not any(row["reason"] and not row["trials"] for row in rows)
+
+
+def named_mistakes(rows: Sequence[Row]) -> list[str]:
+    """Mistakes of the cell from these four probes, by the client's own rule; empty unless all were carried out."""
+    return list(mistakes(_sides(rows))) if carried_out(rows) else []
+
+
+def named_wirings(rows: Sequence[Row]) -> list[str]:
+    """As `named_mistakes`, but only what is wired wrong, not what is out of place."""
+    return list(wiring_mistakes(_sides(rows))) if carried_out(rows) else []
+
+
+def _sides(rows: Sequence[Row]) -> tuple[Probe, ...]:
+    return tuple(_probe(row, *side) for row, side in zip(rows, SIDES, strict=True))
+
+
+def _probe(row: Row, x_mm: float, theta_deg: float) -> Probe:
+    """The client's record of a probe that it took for one at this error."""
+    decision = row["trials"][0]["decision"] if row["trials"] else {}
+    felt, turns = decision.get("estimate") or {}, decision.get("turns_deg")
+    ending = f"{decision['reason']}: {decision['detail']}" if "detail" in decision else WENT_IN
+    return Probe(
+        x_mm=x_mm,
+        theta_deg=theta_deg,
+        estimate_x_mm=felt.get("dx_mm"),
+        estimate_theta_deg=felt.get("dtheta_deg"),
+        sigma_x_mm=felt.get("sigma_x_mm"),
+        sigma_theta_deg=felt.get("sigma_theta_deg"),
+        turns_deg=turns and (turns[0], turns[1]),
+        said="" if felt else ending,
+        insertion_id="simulated",
+    )

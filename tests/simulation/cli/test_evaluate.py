@@ -1,0 +1,91 @@
+"""`evaluate` checks how a world is wired before it plays anything there, as a cell that inserts has to be."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from service.contract.shipped import released_models
+from simulation.cli import evaluate
+from simulation.closed_loop import campaign
+from simulation.closed_loop.statistics import Row
+from tests.service import tiny_models
+from tests.simulation.closed_loop.test_evaluation import ROW
+from tests.simulation.studies.test_wiring import probe
+
+SWAPPED = "corrections in x reach the arm reversed, or the fingers are swapped"
+
+
+@pytest.fixture
+def worlds(tmp_path: Path) -> list[str]:
+    """Files of a good world and of one with swapped fingers."""
+    (tmp_path / "good.toml").write_text("")
+    (tmp_path / "swapped.toml").write_text("[world]\nswapped_fingers = true\n")
+    return [str(tmp_path / f"{name}.toml") for name in ("good", "swapped")]
+
+
+def evaluated(worlds: list[str], models: Path, out: Path, *more: str) -> dict[str, Row]:
+    """The row of each world."""
+    asked = ["--worlds", *worlds, "--count", "2", "--perception", "fields", "-j", "1", "--models", str(models)]
+    assert evaluate.main([*asked, "--json", str(out), *more]) == 0
+    return {row["world"]: row for row in json.loads(out.read_text())}
+
+
+def as_wired(task: campaign.Task) -> Row:
+    """What a cell of this world answers: probes as it is wired, insertions always inserted in one attempt."""
+    job = dict(task.job)
+    if job.get("purpose") != "probe":
+        return {**ROW, **job, "attempts": 1, "made_by": task.made_by}
+    sign = -1.0 if job["unstated"].get("swapped_fingers") else 1.0
+    answer = probe(job["x_mm"], job["theta_deg"], (sign * job["x_mm"], job["theta_deg"]))
+    return {**ROW, **answer, **job, "made_by": task.made_by}
+
+
+def test_nothing_is_inserted_in_a_cell_that_is_wired_wrong(worlds, tmp_path, monkeypatch):
+    played = list[campaign.Task]()
+
+    def play(task: campaign.Task) -> Row:
+        played.append(task)
+        return as_wired(task)
+
+    monkeypatch.setattr(campaign, "play", play)
+    models = tiny_models.write_models(tmp_path / "models")
+    rows = evaluated(worlds, models, tmp_path / "rows.json", "--objects", "circle", "rectangle")
+    assert {task.job["condition"] for task in played if task.job.get("purpose") != "probe"} == {"good"}
+    assert rows["good"]["inserted"] == rows["good"]["insertions"] == 2
+    refused = rows["swapped"]
+    assert (refused["refused"], refused["inserted"], refused["void"], refused["mean_trials"]) == (2, 0, 0, 16.0)
+    assert refused["reasons"] == {f"commissioning: contradictory: {SWAPPED}": 2}
+
+    again = evaluated(worlds, models, tmp_path / "blind.json", "--objects", "circle", "--uncommissioned")
+    assert again["swapped"]["inserted"] == 2
+
+
+def test_another_object_is_tried_where_the_first_cannot_be_held(worlds, tmp_path, monkeypatch):
+    not_held = {"reason": "service: refused: nothing_held", "trials": []}
+
+    def play(task: campaign.Task) -> Row:
+        answer = as_wired(task)
+        return {**answer, **not_held} if task.job["scene"] == "rectangle" else answer
+
+    monkeypatch.setattr(campaign, "play", play)
+    models = tiny_models.write_models(tmp_path / "models")
+    rows = evaluated(worlds, models, tmp_path / "rows.json", "--objects", "rectangle", "circle")
+    assert rows["swapped"]["refused"] == 2
+    alone = evaluated(worlds, models, tmp_path / "alone.json", "--objects", "rectangle")
+    assert not any("contradictory" in reason for reason in alone["swapped"]["reasons"])  # nobody could tell
+
+
+def test_a_sensor_that_the_networks_do_not_read_is_named_before_anything_is_played(tmp_path, monkeypatch):
+    monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played"))
+    (tmp_path / "mini.toml").write_text('[camera]\nsensor = "gelsight_mini"\n')
+    models = tiny_models.write_models(tmp_path / "models")
+    with pytest.raises(ValueError, match="world mini, object circle: pictures of the sensor gelsight_mini are 320 x"):
+        evaluated([str(tmp_path / "mini.toml")], models, tmp_path / "rows.json", "--objects", "circle")
+
+
+@pytest.mark.slow
+def test_swapped_fingers_are_named_by_what_the_cell_really_feels(worlds, tmp_path):
+    rows = evaluated(worlds, released_models(), tmp_path / "rows.json", "--objects", "rectangle")
+    assert rows["good"]["inserted"] == 2
+    assert rows["swapped"]["reasons"] == {f"commissioning: contradictory: {SWAPPED}": 2}
