@@ -151,25 +151,22 @@ def test_an_object_that_only_its_weight_shows_weighs_on_both_gels(left: Any, rig
 
 
 @pytest.mark.parametrize(
-    ("left", "right", "named"), [(1, 1, ""), (0, 1, "left"), (1, 0, "right"), (0, 0, "left; right")]
+    ("left", "right", "problem"), [(1, 1, ""), (0, 1, "left: no markers"), (1, 0, "right: no markers")]
 )
-def test_an_arming_waits_for_a_pair_that_both_fingers_show_and_names_the_one_that_does_not(
-    left: int, right: int, named: str
-) -> None:
+def test_an_arming_waits_for_a_pair_of_which_both_frames_can_be_read(left: int, right: int, problem: str) -> None:
     attempt = descent(stage=Stage.ARMING, reference=None, rearmed={"left", "right"})
     attempt.ring.clear()
-    both = at(7)
-    fingers = [
-        one if good else replace(one, field=empty_field(0, "no_grid", "no markers"))
-        for one, good in zip(both.fingers, (left, right), strict=True)
-    ]
-    answer = attempt.take_reference(PairObservation(*fingers))
-    assert (answer is None) == bool(named)
-    assert attempt.problem == "; ".join(f"{name}: no markers" for name in named.split("; ") if name)
-    assert attempt.rearmed == (set() if named else {"left", "right"})
+    both, unread = at(7), empty_field(0, "no_grid", "no markers")
+    for one, good in zip(both.fingers, (left, right), strict=True):
+        attempt.unread(one if good else replace(one, field=unread))
+    assert attempt.problem == problem
+    answer = attempt.take_reference(both)
+    assert (answer is None) == bool(problem)
     if isinstance(answer, wire.Armed):
         assert (answer.reference_seq, answer.frame_captured_ns) == (7, 7 * PERIOD_NS)
         assert [one.seq for one in attempt.ring] == [7]
+        attempt.unread(replace(both.left, field=unread))
+        assert (attempt.problem, attempt.rearmed) == ("", {"left", "right"}), "once armed it stays so"
 
 
 class Run:
