@@ -16,6 +16,7 @@ from service.decision.work import (
     enough_message,
     latencies,
     overdue,
+    plan_steps,
     plan_work,
     slip_message,
 )
@@ -155,3 +156,20 @@ def test_an_attempt_in_which_nothing_was_shown_cannot_be_decided_again() -> None
     models: Any = SimpleNamespace(card=tiny_models.card("direction", "step"))
     with pytest.raises(Refusal, match="no frame pair"):
         decide_again(models, descent(network_reference=None))
+
+
+def test_steps_of_depth_took_as_long_as_the_newest_pair_and_the_networks_last_step() -> None:
+    older, newest = (
+        PairObservation(*(replace(one, cost_ms={"markers": cost_ms}) for one in pair().fingers))
+        for cost_ms in (9.0, 2.0)
+    )
+    evidence = Evidence(tiny_models.CLASSES, np.full(9, 1 / 9), (1.0, 1.0))
+    depth: Any = SimpleNamespace(problem=None, enough=True, felt=True, add=lambda _: [])
+    run: Any = SimpleNamespace(step_ms=4.0, evidence=lambda: evidence)
+    models: Any = SimpleNamespace(card=SimpleNamespace(pressing=SimpleNamespace(steps_n=4)))
+    attempt = descent(descent=depth, run=run)
+    attempt.ring.extend([older, newest])
+    (work,) = plan_steps(models, attempt)
+    result = work.run()
+    assert result is not None
+    assert result.latency_ms == {"markers": 2.0, "networks_last_step": 4.0}
