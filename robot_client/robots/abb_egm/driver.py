@@ -80,9 +80,10 @@ class EgmArm:
         return self._guide.target
 
     def move(self, target: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
-        """Begin a move; raises LimitError if it is not allowed or the arm is latched."""
-        if self._failed or self._guide is None:
-            raise LimitError(f"the arm takes no motion: {self._failed or 'not started'}")
+        """Begin a move; raises LimitError if it is not allowed, or the arm is latched or closed."""
+        if self._failed or self._closing or self._guide is None:
+            why = self._failed or ("closed" if self._closing else "not started")
+            raise LimitError(f"the arm takes no motion: {why}")
         self._guide.move(target, motion, until_s, legs)
 
     def renew(self, until_s: float) -> None:
