@@ -99,6 +99,16 @@ def test_an_end_is_written_down_before_it_is_published_and_the_recording_is_whol
     assert isinstance(witness.insertion.session.finished, wire.Finished)
 
 
+def test_an_end_that_is_asked_for_again_is_told_again(witness: Witness) -> None:
+    witness.until_stopped()
+    abort = wire.Abort(insertion_id="first", cause="operator", reason="done")
+    for _ in range(2):
+        witness.insertion.message(abort)
+    assert witness.events.count("finished") == 2
+    witness.insertion.message(wire.ClientHeartbeat(insertion_id="first", count=1))
+    assert witness.events[-1] == "send heartbeat"
+
+
 def sample(at_ns: int) -> wire.RobotSample:
     return wire.RobotSample(at_ns=at_ns, phase="descending", attempt=1)
 
