@@ -1,5 +1,6 @@
 """Reasons against a decision are an answer, not an error of the networks' thread."""
 
+from collections import deque
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +17,7 @@ from service.decision.work import (
     enough_message,
     latencies,
     overdue,
+    plan_steps,
     plan_work,
     slip_message,
 )
@@ -155,3 +157,45 @@ def test_an_attempt_in_which_nothing_was_shown_cannot_be_decided_again() -> None
     models: Any = SimpleNamespace(card=tiny_models.card("direction", "step"))
     with pytest.raises(Refusal, match="no frame pair"):
         decide_again(models, descent(network_reference=None))
+
+
+def stamped(seq: int, cost_ms: float = 1.0) -> PairObservation:
+    """A pair of that number, captured as many hundredths of a second after the first."""
+    changed = {"seq": seq, "captured_ns": seq * 10_000_000, "cost_ms": {"markers": cost_ms}}
+    return PairObservation(*(replace(one, **changed) for one in pair().fingers))
+
+
+@pytest.mark.parametrize(
+    ("onset", "rule", "reference"),
+    [
+        (5, "first_of_sequence", 5),
+        (5, "before_onset", 4),
+        (3, "first_of_sequence", 3),
+        (3, "before_onset", 0),
+    ],
+)
+def test_networks_compare_with_the_first_pair_that_moves_or_the_last_one_before_it(
+    onset: int, rule: str, reference: int
+) -> None:
+    """The ring begins at pair 3; whatever moves in it already is compared with the reference at arming."""
+    attempt = descent(reference=stamped(0), onset_ns=onset * 10_000_000)
+    attempt.ring = deque(stamped(seq) for seq in range(3, 8))
+    fresh = attempt.take_decision_pairs(3, rule)
+    assert [one.seq for one in fresh] == [one.seq for one in attempt.decision_pairs] == list(range(onset, 8))[:3]
+    assert attempt.network_reference is not None
+    assert attempt.network_reference.seq == reference
+
+
+def test_the_result_of_steps_states_what_the_newest_pair_took() -> None:
+    spec = SimpleNamespace(steps_n=5)
+    models: Any = SimpleNamespace(card=SimpleNamespace(pressing=spec))
+    read: list[int] = []
+    descended: Any = SimpleNamespace(add=lambda one: [one.seq], problem=None, enough=True, felt=True)
+    run: Any = SimpleNamespace(step=read.append, step_ms=2.0, evidence=lambda: "felt")
+    attempt = descent(stage=Stage.ARMED, descent=descended, run=run)
+    attempt.ring = deque(stamped(seq, cost_ms=float(seq)) for seq in range(4))
+    (work,) = plan_steps(models, attempt)
+    result = work.run()
+    assert result is not None
+    assert (read, result.evidence, result.latency_ms) == ([3], "felt", {"markers": 3.0, "networks_last_step": 2.0})
+    assert plan_steps(models, attempt) == [], "they were given their last input"

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from service.cameras.capture import CameraError
-from service.contract import ContractError
+from service.cameras.capture import CameraError, CameraFrame
+from service.contract import ContractError, TactileFrame
 from service.decision.models import load_models
 from service.session.station import TICK_S, Station
 from service.settings import Settings
@@ -94,3 +95,46 @@ def test_a_finger_that_has_a_camera_takes_no_pushed_frames(idle: Station) -> Non
     idle.cameras = {"left": SimpleNamespace(source=SimpleNamespace(name="http://x"))}  # type: ignore[misc]
     with pytest.raises(ContractError, match="start the service with --camera-left push:"):
         idle.push("left")
+
+
+class Driven:
+    """An insertion that wants frames or does not; ``seen`` are the frames that it was given."""
+
+    def __init__(self, *, wants_frames: bool) -> None:
+        self.wants_frames, self.seen = wants_frames, list[int]()
+        self.session = SimpleNamespace(watches_slip=False)
+
+    def frame(self, frame: CameraFrame, _pair: object) -> None:
+        self.seen.append(frame.frame.seq)
+
+
+def deliver(station: Station, *numbers: int) -> None:
+    for seq in numbers:
+        frame = TactileFrame("left", seq, seq, np.zeros((2, 2, 3), np.uint8))
+        station._on_camera_frame(CameraFrame(frame, None))
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_frames_between_attempts_are_neither_perceived_nor_counted_as_dropped(
+    idle: Station, monkeypatch: pytest.MonkeyPatch, wanted: bool
+) -> None:
+    driven = Driven(wants_frames=wanted)
+    monkeypatch.setattr(idle.manager, "active", driven)
+    deliver(idle, *range(1, 11))
+    for _ in range(10):
+        idle._next_frame()
+    assert driven.seen == ([3, 4, 5, 6, 7, 8, 9, 10] if wanted else [])
+    assert idle.counters.frames_dropped_n == (2 if wanted else 0)
+
+
+def test_frames_that_wait_while_their_insertion_ends_go_to_no_other_and_are_no_error(
+    idle: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deliver(idle, 1)
+    monkeypatch.setattr(idle.manager, "active", Driven(wants_frames=True))
+    deliver(idle, 2)
+    monkeypatch.setattr(idle.manager, "active", None)
+    idle._inbox.put(None)
+    idle._run()
+    assert idle.counters.perception_errors_n == 0
+    assert not idle._frames

@@ -98,3 +98,23 @@ def test_a_stop_that_was_refused_is_asked_for_again_until_the_controller_reports
 
     assert asyncio.run(story()) == "controller confirms: program stopped"
     assert asked == ["stop"] * (refused_n + 1)
+
+
+def test_an_exchange_that_never_ends_is_given_up():
+    """As of a controller that sends its answer byte by byte, each of them in time."""
+
+    async def answer(_request):
+        await asyncio.Event().wait()
+
+    async def story():
+        client = RwsClient(RwsSettings(request_timeout_s=0.01))
+        await client._client.aclose()
+        client._generation = RWS1
+        client._client = httpx.AsyncClient(transport=httpx.MockTransport(answer), base_url="http://127.0.0.1")
+        try:
+            with pytest.raises(RwsError, match="GET /rw/panel/opmode: TimeoutError"):
+                await asyncio.wait_for(client.status(), 5.0)
+        finally:
+            await client._client.aclose()
+
+    asyncio.run(story())

@@ -1,0 +1,73 @@
+"""How long an answer is waited for, and the times it states; on a clock that the test sets."""
+
+import itertools
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.contract import wire
+from service.decision.controllers import make_controller
+from service.decision.evidence import Evidence
+from service.session.decider import Decider
+from service.settings import Deadlines
+from tests.service import tiny_models
+from tests.service.decision.test_claim import FRAMES, PERIOD_NS, descent, pair
+from tests.service.decision.toy_loop import LIMITS
+
+STOPPED_NS = FRAMES * PERIOD_NS
+MS = 1_000_000
+
+
+def decider() -> Decider:
+    card = tiny_models.card("direction", "step")
+    models: Any = SimpleNamespace(card=card, steps=[SimpleNamespace(card=card)])
+    return Decider("one", models, make_controller("heuristic", LIMITS), Deadlines(), consistency=None)
+
+
+@pytest.mark.parametrize(("waited_ms", "doubted"), [(0, None), (2000, None), (2001, ["not_seen"])])
+def test_a_claim_waits_as_long_for_its_last_pair_as_a_decision_for_its_frames(
+    waited_ms: int, doubted: list[str] | None
+) -> None:
+    blind = descent(pushes=[])
+    doubts = decider().doubts(blind, STOPPED_NS + waited_ms * MS, 500.0)
+    assert (doubts and [doubt.reason for doubt in doubts]) == doubted
+
+
+@pytest.mark.parametrize(("age_ms", "waits"), [(499, False), (501, True)])
+def test_a_claim_rests_on_a_pair_no_older_than_is_allowed(age_ms: int, waits: bool) -> None:
+    attempt = descent()
+    one = decider()
+    one.grasp.width_mm = 50.0
+    newest_ns = attempt.pushes[-1].captured_ns
+    assert one.doubts(attempt, newest_ns + age_ms * MS, 500.0) == (None if waits else ())
+
+
+def evidence() -> Evidence:
+    probabilities = np.full(9, 0.01)
+    probabilities[1] = 0.92
+    return Evidence(tiny_models.CLASSES, probabilities, (4.0, 0.0), (1.0, 1.0))
+
+
+def test_a_correction_states_what_the_controller_and_the_way_since_the_last_frame_took(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = itertools.count(1.0, 0.25)
+    monkeypatch.setattr("service.session.decider.time", SimpleNamespace(perf_counter=lambda: next(clock)))
+    attempt = descent(outcome="blocked", decision_pairs=[pair()])
+    attempt.result = SimpleNamespace(evidence=evidence(), refusal=None, latency_ms={"networks_last_step": 3.0})
+    one = decider()
+    correction = one.conclude(attempt, 47_500_000)
+    assert isinstance(correction, wire.Correction)
+    assert correction.latency_ms == {"networks_last_step": 3.0, "controller": 250.0, "since_last_frame": 47.5}
+    assert one.command is not None
+    assert (one.command.dx_mm, one.command.dtheta_deg) == (correction.dx_mm, correction.dtheta_deg)
+
+
+def test_nothing_is_concluded_of_an_arm_that_is_not_known_to_stand() -> None:
+    attempt = descent(outcome="blocked", decision_pairs=[pair()], stopped_ns=None)
+    attempt.result = SimpleNamespace(evidence=evidence(), refusal=None, latency_ms={})
+    one = decider()
+    assert one.conclude(attempt, 10**12) is None
+    assert one.command is None
