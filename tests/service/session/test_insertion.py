@@ -100,7 +100,7 @@ def test_an_end_is_written_down_before_it_is_published_and_the_recording_is_whol
 
 
 def test_an_end_that_is_asked_for_again_is_told_again(witness: Witness) -> None:
-    witness.until_stopped()
+    witness.insertion.message(wire.ClientHello(insertion_id="first", client="test"))
     abort = wire.Abort(insertion_id="first", cause="operator", reason="done")
     for _ in range(2):
         witness.insertion.message(abort)

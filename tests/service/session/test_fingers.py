@@ -1,0 +1,119 @@
+"""When a hand counts as empty, and which frames and ages belong to a pair; on made-up observations."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.contract import FramePair, TactileFrame
+from service.decision.attempt import Attempt, Stage
+from service.perception.observation import Observation, PairObservation
+from service.session.fingers import Fingers
+from tests.service.decision.test_claim import descent, observation
+
+Felt = tuple[float | None, float | None]  # bulge and touch of a finger
+HELD, EMPTY = (6.0, 6.0), (0.1, 0.1)
+
+
+def felt(finger: Any, bulge: float | None, touch: float | None) -> Observation:
+    return replace(observation(finger, bulge), touch=touch)
+
+
+class Hand(Fingers):
+    """Fingers whose perception is given."""
+
+    def shows(self, left: Felt, right: Felt) -> PairObservation:
+        self._observations = {"left": felt("left", *left), "right": felt("right", *right)}
+        return self.both()
+
+
+def hand() -> Hand:
+    nobody: Any = SimpleNamespace()
+    return Hand(nobody, nobody)
+
+
+def armed(left: Felt, right: Felt, generation: int = 1) -> Attempt:
+    reference = PairObservation(felt("left", *left), felt("right", *right))
+    return descent(outcome=None, stage=Stage.ARMED, reference=reference, generation=generation)
+
+
+def lost(one: Hand, attempt: Attempt, shown: Sequence[tuple[Felt, Felt]]) -> list[int]:
+    """The pairs at which the hand is said to be empty."""
+    said = []
+    for index, (left, right) in enumerate(shown):
+        one.shows(left, right)
+        if one.emptied(attempt):
+            said.append(index)
+    return said
+
+
+def test_a_hand_is_empty_once_both_gels_were_so_twice_and_that_is_said_once() -> None:
+    shown = [(HELD, HELD), (EMPTY, HELD), (EMPTY, HELD), (EMPTY, EMPTY), (EMPTY, EMPTY), (EMPTY, EMPTY)]
+    assert lost(hand(), armed(HELD, HELD), shown) == [4]
+
+
+def test_an_attempt_armed_anew_begins_with_a_held_object() -> None:
+    one = hand()
+    assert lost(one, armed(HELD, HELD), [(EMPTY, EMPTY)] * 3) == [1]
+    assert lost(one, armed(HELD, HELD), [(EMPTY, EMPTY)] * 3) == []
+    assert lost(one, armed(HELD, HELD, generation=2), [(EMPTY, EMPTY)] * 3) == [1]
+
+
+def test_what_was_set_down_at_full_depth_is_not_lost() -> None:
+    attempt = armed(HELD, HELD)
+    attempt.outcome = "inserted"
+    assert lost(hand(), attempt, [(HELD, HELD), *[(EMPTY, EMPTY)] * 3]) == []
+
+
+@pytest.mark.parametrize(
+    ("reference", "later", "gone"),
+    [
+        (((6.0, 0.5), (6.0, 0.5)), (3.0, 0.5), False),
+        (((6.0, 0.5), (6.0, 0.5)), (0.9, 0.5), True),
+        (((6.0, None), (6.0, None)), (3.0, None), False),
+        (((6.0, None), (6.0, None)), (0.9, None), True),
+        (((6.0, 2.0), (6.0, 2.0)), (6.0, 0.5), True),
+        (((6.0, 0.5), (6.0, 0.5)), (None, 0.5), False),
+        (((0.8, 0.5), (0.8, 0.5)), (0.41, 0.5), False),
+        (((0.8, 0.5), (0.8, 0.5)), (0.39, 0.5), True),
+    ],
+    ids=[
+        "faint picture, markers hold",
+        "faint picture, markers gone",
+        "no picture, markers hold",
+        "no picture, markers gone",
+        "picture gone",
+        "markers not found",
+        "half of a weight",
+        "less than half of a weight",
+    ],
+)
+def test_a_finger_is_judged_by_what_it_showed_at_arming(reference: tuple[Felt, Felt], later: Felt, gone: bool) -> None:
+    """By its picture, else by its markers; under a weight alone by the share of it that is left."""
+    assert lost(hand(), armed(*reference), [reference, (later, later), (later, later)]) == ([2] if gone else [])
+
+
+def frame(finger: Any, seq: int, captured_ns: int) -> TactileFrame:
+    return TactileFrame(finger, seq, captured_ns, np.zeros((2, 2, 3), np.uint8))
+
+
+def test_a_pairs_frame_is_missing_until_its_very_frame_was_perceived() -> None:
+    one, pair = hand(), FramePair(frame("left", 0, 0), frame("right", 0, 0))
+    assert [shown.finger for shown in one.missing(pair)] == ["left", "right"]
+    one.shows(HELD, HELD)
+    assert one.missing(pair) == []
+    for newer in (FramePair(frame("left", 1, 0), pair.right), FramePair(frame("left", 0, 5), pair.right)):
+        assert [shown.finger for shown in one.missing(newer)] == ["left"]
+
+
+def test_frames_are_stale_by_the_finger_that_is_further_behind_and_not_before_both_have_one() -> None:
+    one = hand()
+    one.note(frame("left", 0, 10_000_000))
+    assert (one.age_ms(10**9), one.stale(10**12, 500.0)) == (None, "")
+    one.note(frame("right", 0, 40_000_000))
+    assert one.age_ms(510_000_000) == 500.0
+    assert one.stale(510_000_000, 500.0) == ""
+    assert "is 501 ms old" in one.stale(511_000_000, 500.0)
