@@ -53,7 +53,7 @@ def test_a_watched_descent_with_a_held_object_is_an_insertion() -> None:
 
 def test_one_finger_that_never_felt_the_object_may_go_on_feeling_nothing() -> None:
     attempt = descent(reference=pair(left=0.8))
-    attempt.ring.append(pair(left=0.7))
+    attempt.ring.append(pair(left=0.0))
     assert reasons(attempt) == []
 
 

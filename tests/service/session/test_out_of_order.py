@@ -1,4 +1,4 @@
-"""What a client says twice, too early or of another attempt; and what outlives an attempt."""
+"""What a client says twice, too early or of another attempt, and what outlives an attempt; on made-up fingers."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from service.contract import Finger, FramePair, TactileFrame, wire
+from service.decision.attempt import WorkResult
+from service.decision.evidence import Refusal
 from service.perception.observation import Observation
 from service.session.state_machine import InsertionSession
 from tests.service import tiny_models
@@ -19,18 +21,23 @@ PIXELS = np.zeros((2, 2, 3), np.uint8)
 
 
 class Still:
-    """A finger that sees an object at rest in every frame."""
+    """A finger that sees an object at rest in every frame, until a test changes what it ``sees``."""
 
     gel_distance = None
 
     def __init__(self, finger: Finger) -> None:
-        self.sees = observation(finger)
+        self.sees, self.problem, self.learnt = observation(finger), "", list[int]()
 
     def rearm(self) -> None:
         """What it sees is its reference already."""
 
-    def learn_open(self, _: TactileFrame) -> str:
-        return ""
+    def learn_open(self, frame: TactileFrame) -> str:
+        self.learnt += [] if self.problem else [frame.seq]
+        return self.problem
+
+    def slips(self) -> None:
+        slip = replace(self.sees.slip, state="gross_slip", score=1.0)
+        self.sees = replace(self.sees, slip=slip)
 
     def observe(self, frame: TactileFrame) -> Observation:
         return replace(self.sees, seq=frame.seq, captured_ns=frame.captured_ns)
@@ -164,3 +171,87 @@ def test_who_says_hello_again_changes_nothing(session: InsertionSession) -> None
     (hello,) = session.handle(again, 5)
     assert hello.controller == "belief"
     assert not session.takes_afresh
+
+
+def test_slip_is_told_once_and_the_same_attempt_is_armed_with_a_new_reference_only(session: InsertionSession) -> None:
+    arm(session)
+    shows(session, 0)
+    descends(session)
+    still, session.left.sees = session.left.sees, replace(session.left.sees)
+    session.left.slips()
+    (slip,) = shows(session, 1)
+    assert (slip.type, slip.finger, slip.frame_seq) == ("slip", "left", 1)
+    assert shows(session, 2) == []
+    session.left.sees = still
+    assert arm(session, at_ns=S) == [], "what was armed is of another time"
+    (armed,) = shows(session, 0, S)
+    assert (armed.type, armed.frame_captured_ns) == ("armed", S)
+    session.left.slips()
+    assert [answer.type for answer in shows(session, 1, S)] == ["slip"]
+
+
+def test_full_depth_is_claimed_by_a_pair_that_is_new_enough_and_by_that_alone(session: InsertionSession) -> None:
+    """At 10 mm/s; when the client is sure of the stop, the newest pair is 0.55 s old."""
+    arm(session)
+    for index in range(76):
+        shows(session, index)
+        if index == 0:
+            descends(session)
+    now_ns = 75 * PERIOD_NS + 550_000_000
+    assert stops(session, at_ns=now_ns, depth_mm=25.0, outcome="inserted", still_s=0.54) == []
+    assert session.on_tick(now_ns) == []
+    (end,) = shows(session, 0, now_ns)
+    assert (end.outcome, end.cause, end.attempts, end.doubts) == ("inserted", None, 1, ())
+    assert stops(session, depth_mm=3.0) == [end]
+
+
+def test_of_two_results_the_first_one_is_kept(session: InsertionSession) -> None:
+    arm(session)
+    shows(session, 0)
+    results = [WorkResult(1, 1, None, Refusal("low_confidence", str(number)), {}) for number in range(2)]
+    assert [session.on_result(result, 0) for result in results] == [[], []], "the arm still moves"
+    (refused,) = stops(session)
+    assert (refused.reason, refused.detail) == ("low_confidence", "0")
+
+
+def learn(session: InsertionSession, at_ns: int) -> list[Any]:
+    return session.handle(wire.LearnOpen(insertion_id=ID), at_ns)
+
+
+def test_open_gels_are_not_learnt_in_an_attempt_which_would_then_not_be_watched(session: InsertionSession) -> None:
+    arm(session)
+    (fault,) = learn(session, 0)
+    assert (fault.code, fault.fatal, fault.detail) == ("protocol", False, "learn_open while an attempt is under way")
+    assert [answer.type for answer in shows(session, 0)] == ["armed"]
+    assert is_out_of_order(learn(session, 0))
+    session.right.slips()
+    assert [answer.type for answer in shows(session, 1)] == ["slip"]
+    stops(session, at_ns=PERIOD_NS)
+    assert is_out_of_order(learn(session, PERIOD_NS))
+    assert [answer.type for answer in session.on_tick(4 * S)] == ["no_decision"]
+    assert learn(session, 4 * S) == []
+    assert [answer.type for answer in shows(session, 0, 4 * S)] == ["open_learnt"]
+
+
+def test_open_gels_are_learnt_once_from_the_first_frames_that_show_them(session: InsertionSession) -> None:
+    left, right = session.left, session.right
+    learn(session, S)
+    right.problem = "no markers"
+    assert shows(session, -1, S) == shows(session, 0, S) == shows(session, 1, S) == []
+    right.problem = ""
+    assert [answer.type for answer in shows(session, 2, S)] == ["open_learnt"]
+    assert (left.learnt, right.learnt) == ([0], [2])
+    assert shows(session, 3, S) == session.on_tick(100 * S) == []
+    assert not session.wants_frames
+
+
+def test_why_open_gels_could_not_be_learnt_is_told_and_they_may_be_asked_for_again(session: InsertionSession) -> None:
+    learn(session, S)
+    session.left.problem = "no markers"
+    shows(session, 0, S)
+    (fault,) = session.on_tick(3 * S + 1)
+    assert (fault.code, fault.detail) == ("open_gel", "the open gels could not be learnt: left finger: no markers")
+    assert shows(session, 0, 4 * S) == []
+    session.left.problem = ""
+    learn(session, 5 * S)
+    assert [answer.type for answer in shows(session, 0, 5 * S)] == ["open_learnt"]

@@ -240,19 +240,3 @@ def test_the_result_of_an_earlier_arming_or_after_the_end_changes_nothing(sessio
     session.handle(wire.Abort(insertion_id=ID, cause="operator", reason="test"), 10**10)
     assert session.on_result(replace(late, generation=session.attempt.generation), 10**10) == []
     assert session.attempt.result is None
-
-
-def test_open_gels_are_not_learnt_in_an_attempt_which_would_then_not_be_watched(session: InsertionSession) -> None:
-    hello(session)
-    ask, pair = wire.LearnOpen(insertion_id=ID), drawn.pair(1)
-    session.handle(wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)
-    (fault,) = session.handle(ask, 0)
-    assert (fault.code, fault.fatal, fault.detail) == ("protocol", False, "learn_open while an attempt is under way")
-    assert kinds(session.on_pair(drawn.pair(0), 0)) == ["armed"]
-    assert kinds(session.handle(ask, 0)) == ["fault"]
-    assert [message.type for message in session.on_pair(pair, pair.captured_ns)] == ["watching"]
-    session.handle(wire.Stopped(insertion_id=ID, attempt=1, depth_mm=3.0, outcome="blocked"), pair.captured_ns)
-    assert kinds(session.handle(ask, pair.captured_ns)) == ["fault"]
-    assert kinds(session.on_tick(10**10)) == ["no_decision"]
-    assert session.handle(ask, 10**10) == []
-    assert session.wants_frames, "between attempts they are learnt"
