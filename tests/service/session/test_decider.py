@@ -1,6 +1,7 @@
 """How long an answer is waited for, and the times it states; on a clock that the test sets."""
 
 import itertools
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,7 +10,8 @@ import pytest
 
 from service.contract import wire
 from service.decision.controllers import make_controller
-from service.decision.evidence import Evidence
+from service.decision.evidence import Evidence, Refusal
+from service.perception.observation import PairObservation
 from service.session.decider import Decider
 from service.settings import Deadlines
 from tests.service import tiny_models
@@ -55,10 +57,11 @@ def test_a_correction_states_what_the_controller_and_the_way_since_the_last_fram
 ) -> None:
     clock = itertools.count(1.0, 0.25)
     monkeypatch.setattr("service.session.decider.time", SimpleNamespace(perf_counter=lambda: next(clock)))
-    attempt = descent(outcome="blocked", decision_pairs=[pair()])
+    last = PairObservation(*(replace(finger, captured_ns=10_000_000) for finger in pair().fingers))
+    attempt = descent(outcome="blocked", decision_pairs=[pair(), last])
     attempt.result = SimpleNamespace(evidence=evidence(), refusal=None, latency_ms={"networks_last_step": 3.0})
     one = decider()
-    correction = one.conclude(attempt, 47_500_000)
+    correction = one.conclude(attempt, 57_500_000)
     assert isinstance(correction, wire.Correction)
     assert correction.latency_ms == {"networks_last_step": 3.0, "controller": 250.0, "since_last_frame": 47.5}
     assert one.command is not None
@@ -71,3 +74,32 @@ def test_nothing_is_concluded_of_an_arm_that_is_not_known_to_stand() -> None:
     one = decider()
     assert one.conclude(attempt, 10**12) is None
     assert one.command is None
+
+
+@pytest.mark.parametrize(("waited_ms", "reason"), [(0, None), (2000, None), (2001, "no_motion")])
+def test_a_decision_is_waited_for_from_the_stop_on(waited_ms: int, reason: str | None) -> None:
+    answer = decider().conclude(descent(outcome="blocked"), STOPPED_NS + waited_ms * MS)
+    assert (answer and answer.reason) == reason
+
+
+def test_a_correction_is_compared_with_the_turn_that_the_newest_pair_shows() -> None:
+    compared = list[PairObservation]()
+    one = decider()
+    one.consistency = SimpleNamespace(add=lambda _decided, pair: compared.append(pair))
+    attempt = descent(outcome="blocked", decision_pairs=[pair()])
+    attempt.ring.extend([pair(), pair(turn_rad=0.01)])
+    attempt.result = SimpleNamespace(evidence=evidence(), refusal=None, latency_ms={})
+    one.conclude(attempt, STOPPED_NS)
+    assert compared == [attempt.ring[-1]]
+
+
+def test_what_contradicts_earlier_corrections_moves_nothing() -> None:
+    def contradicted(_decided: object, _pair: object) -> None:
+        raise Refusal("out_of_distribution", "the arm moves the wrong way")
+
+    one = decider()
+    one.consistency = SimpleNamespace(add=contradicted)
+    attempt = descent(outcome="blocked", decision_pairs=[pair()])
+    attempt.result = SimpleNamespace(evidence=evidence(), refusal=None, latency_ms={})
+    answer = one.conclude(attempt, STOPPED_NS)
+    assert (answer.type, answer.detail, one.command) == ("no_decision", "the arm moves the wrong way", None)

@@ -72,16 +72,18 @@ def test_what_was_set_down_at_full_depth_is_not_lost() -> None:
     ("reference", "later", "gone"),
     [
         (((6.0, 0.5), (6.0, 0.5)), (3.0, 0.5), False),
+        (((6.0, 0.5), (6.0, 0.5)), (1.1, 0.5), False),
         (((6.0, 0.5), (6.0, 0.5)), (0.9, 0.5), True),
         (((6.0, None), (6.0, None)), (3.0, None), False),
         (((6.0, None), (6.0, None)), (0.9, None), True),
-        (((6.0, 2.0), (6.0, 2.0)), (6.0, 0.5), True),
+        (((6.0, 1.5), (6.0, 1.5)), (6.0, 0.5), True),
         (((6.0, 0.5), (6.0, 0.5)), (None, 0.5), False),
         (((0.8, 0.5), (0.8, 0.5)), (0.41, 0.5), False),
         (((0.8, 0.5), (0.8, 0.5)), (0.39, 0.5), True),
     ],
     ids=[
         "faint picture, markers hold",
+        "faint picture, markers just hold",
         "faint picture, markers gone",
         "no picture, markers hold",
         "no picture, markers gone",
@@ -117,3 +119,40 @@ def test_frames_are_stale_by_the_finger_that_is_further_behind_and_not_before_bo
     assert one.age_ms(510_000_000) == 500.0
     assert one.stale(510_000_000, 500.0) == ""
     assert "is 501 ms old" in one.stale(511_000_000, 500.0)
+
+
+@pytest.mark.parametrize(
+    ("score", "state", "usable", "told"),
+    [
+        (None, "hold", True, "hold"),
+        (-0.01, "hold", True, "hold"),
+        (0.0, "hold", True, "gross_slip"),
+        (0.7, "hold", True, "gross_slip"),
+        (0.7, "hold", False, "hold"),
+        (0.7, "unknown", True, "unknown"),
+    ],
+)
+def test_an_imprint_that_slides_stops_the_arm_unless_its_markers_did_or_cannot_be_read(
+    score: float | None, state: Any, usable: bool, told: str
+) -> None:
+    seen = felt("left", *HELD)
+    field = seen.field if usable else replace(seen.field, status="no_grid")
+    seen = replace(seen, field=field, slip=replace(seen.slip, state=state))
+    watch: Any = SimpleNamespace(observe=lambda frame: replace(seen, finger=frame.finger))
+    one = Fingers(watch, watch)
+    asked = list[int]()
+    one._witness = SimpleNamespace(update=lambda imprints: asked.append(len(imprints)) or score)  # type: ignore[assignment]
+    for finger in ("left", "right"):
+        slip = one.observe(frame(finger, 0, 0)).slip
+        assert (slip.state, slip.score) == (told, 1.0 if told != state else seen.slip.score)
+        assert slip.stop == (told == "gross_slip")
+    assert asked == [1, 2], "both fingers, once they were seen"
+
+
+def test_slip_that_the_markers_show_is_told_by_them() -> None:
+    seen = felt("left", *HELD)
+    seen = replace(seen, slip=replace(seen.slip, state="gross_slip", score=0.4, reason="the rim lags"))
+    watch: Any = SimpleNamespace(observe=lambda _frame: seen)
+    one = Fingers(watch, watch)
+    one._witness = SimpleNamespace(update=lambda _imprints: 0.7)  # type: ignore[assignment]
+    assert one.observe(frame("left", 0, 0)).slip.reason == "the rim lags"

@@ -1,79 +1,21 @@
-"""What a client says twice, too early or of another attempt, and what outlives an attempt; on made-up fingers."""
+"""What a client says twice, too early or of another attempt, and what outlives an attempt."""
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
-import numpy as np
 import pytest
 
-from service.contract import Finger, FramePair, TactileFrame, wire
+from service.contract import TactileFrame, wire
 from service.decision.attempt import WorkResult
 from service.decision.evidence import Refusal
-from service.perception.observation import Observation
 from service.session.state_machine import InsertionSession
-from tests.service import tiny_models
-from tests.service.decision.test_claim import PERIOD_NS, observation
-
-ID = "test-1"
-S = 10**9
-PIXELS = np.zeros((2, 2, 3), np.uint8)
-
-
-class Still:
-    """A finger that sees an object at rest in every frame, until a test changes what it ``sees``."""
-
-    gel_distance = None
-
-    def __init__(self, finger: Finger) -> None:
-        self.sees, self.problem, self.learnt = observation(finger), "", list[int]()
-
-    def rearm(self) -> None:
-        """What it sees is its reference already."""
-
-    def learn_open(self, frame: TactileFrame) -> str:
-        self.learnt += [] if self.problem else [frame.seq]
-        return self.problem
-
-    def slips(self) -> None:
-        slip = replace(self.sees.slip, state="gross_slip", score=1.0)
-        self.sees = replace(self.sees, slip=slip)
-
-    def observe(self, frame: TactileFrame) -> Observation:
-        return replace(self.sees, seq=frame.seq, captured_ns=frame.captured_ns)
+from tests.service.decision.test_claim import PERIOD_NS
+from tests.service.session.at_rest import ID, PIXELS, S, arm, at_rest, descends, is_out_of_order, shows, stops
+from tests.service.session.test_decider import evidence
 
 
 @pytest.fixture
 def session() -> InsertionSession:
-    models: Any = SimpleNamespace(card=tiny_models.card("direction", "step"), entries=())
-    session = InsertionSession(models, Still("left"), Still("right"))
-    session.handle(wire.ClientHello(insertion_id=ID, client="test"), 0)
-    return session
-
-
-def arm(session: InsertionSession, attempt: int = 1, at_ns: int = 0, **stated: Any) -> list[Any]:
-    usual = {"gap_width_mm": 56.0, "expected_depth_mm": 25.0}
-    return session.handle(wire.Arm(insertion_id=ID, attempt=attempt, **usual | stated), at_ns)
-
-
-def shows(session: InsertionSession, index: int, from_ns: int = 0) -> list[Any]:
-    at_ns = from_ns + index * PERIOD_NS
-    pair = FramePair(*(TactileFrame(finger, index, at_ns, PIXELS) for finger in ("left", "right")))
-    return [answer for answer in session.on_pair(pair, at_ns) if answer.type != "watching"]
-
-
-def descends(session: InsertionSession, attempt: int = 1, at_ns: int = 0) -> list[Any]:
-    return session.handle(wire.Descending(insertion_id=ID, attempt=attempt, speed_mm_s=10.0), at_ns)
-
-
-def stops(session: InsertionSession, attempt: int = 1, at_ns: int = 0, **told: Any) -> list[Any]:
-    usual = {"depth_mm": 3.0, "outcome": "blocked"}
-    return session.handle(wire.Stopped(insertion_id=ID, attempt=attempt, **usual | told), at_ns)
-
-
-def is_out_of_order(answers: list[Any]) -> bool:
-    (fault,) = answers
-    return (fault.type, fault.code, fault.fatal) == ("fault", "protocol", False)
+    return at_rest()
 
 
 def test_a_motion_is_taken_only_of_the_attempt_that_is_armed(session: InsertionSession) -> None:
@@ -170,6 +112,7 @@ def test_who_says_hello_again_changes_nothing(session: InsertionSession) -> None
     again = wire.ClientHello(insertion_id=ID, client="test", controller="heuristic", takes_afresh=True)
     (hello,) = session.handle(again, 5)
     assert hello.controller == "belief"
+    assert (hello.limits.max_dx_mm, hello.limits.max_dtheta_deg, hello.limits.max_frame_age_ms) == (15.0, 15.0, 500.0)
     assert not session.takes_afresh
 
 
@@ -214,44 +157,46 @@ def test_of_two_results_the_first_one_is_kept(session: InsertionSession) -> None
     assert (refused.reason, refused.detail) == ("low_confidence", "0")
 
 
-def learn(session: InsertionSession, at_ns: int) -> list[Any]:
-    return session.handle(wire.LearnOpen(insertion_id=ID), at_ns)
-
-
-def test_open_gels_are_not_learnt_in_an_attempt_which_would_then_not_be_watched(session: InsertionSession) -> None:
+def test_frames_between_attempts_are_not_judged_but_are_as_new_as_any(session: InsertionSession) -> None:
+    judged = list[int]()
+    session.on_observation = lambda observation: judged.append(observation.seq)
     arm(session)
-    (fault,) = learn(session, 0)
-    assert (fault.code, fault.fatal, fault.detail) == ("protocol", False, "learn_open while an attempt is under way")
-    assert [answer.type for answer in shows(session, 0)] == ["armed"]
-    assert is_out_of_order(learn(session, 0))
-    session.right.slips()
-    assert [answer.type for answer in shows(session, 1)] == ["slip"]
-    stops(session, at_ns=PERIOD_NS)
-    assert is_out_of_order(learn(session, PERIOD_NS))
-    assert [answer.type for answer in session.on_tick(4 * S)] == ["no_decision"]
-    assert learn(session, 4 * S) == []
-    assert [answer.type for answer in shows(session, 0, 4 * S)] == ["open_learnt"]
+    (refused,) = session.on_tick(3 * S)
+    assert refused.detail == "no frame pair arrived"
+    shows(session, 0, 3 * S)
+    session.on_frame(TactileFrame("left", 1, 4 * S, PIXELS), 4 * S)
+    session.on_frame(TactileFrame("right", 1, 4 * S, PIXELS), 4 * S)
+    assert judged == []
+    (beat,) = session.handle(wire.ClientHeartbeat(insertion_id=ID, count=1), 4 * S + 2_000_000)
+    assert beat.frame_age_ms == 2.0
 
 
-def test_open_gels_are_learnt_once_from_the_first_frames_that_show_them(session: InsertionSession) -> None:
-    left, right = session.left, session.right
-    learn(session, S)
-    right.problem = "no markers"
-    assert shows(session, -1, S) == shows(session, 0, S) == shows(session, 1, S) == []
-    right.problem = ""
-    assert [answer.type for answer in shows(session, 2, S)] == ["open_learnt"]
-    assert (left.learnt, right.learnt) == ([0], [2])
-    assert shows(session, 3, S) == session.on_tick(100 * S) == []
-    assert not session.wants_frames
+def test_why_a_reference_cannot_be_taken_is_told(session: InsertionSession) -> None:
+    unread = replace(session.right.sees.field, status="no_grid", reason="too dark")
+    session.right.sees = replace(session.right.sees, field=unread)
+    arm(session)
+    assert shows(session, 0) == shows(session, 1) == []
+    (refused,) = session.on_tick(3 * S)
+    assert (refused.reason, refused.detail) == ("no_reference", "right: too dark")
 
 
-def test_why_open_gels_could_not_be_learnt_is_told_and_they_may_be_asked_for_again(session: InsertionSession) -> None:
-    learn(session, S)
-    session.left.problem = "no markers"
-    shows(session, 0, S)
-    (fault,) = session.on_tick(3 * S + 1)
-    assert (fault.code, fault.detail) == ("open_gel", "the open gels could not be learnt: left finger: no markers")
-    assert shows(session, 0, 4 * S) == []
-    session.left.problem = ""
-    learn(session, 5 * S)
-    assert [answer.type for answer in shows(session, 0, 5 * S)] == ["open_learnt"]
+def test_a_correction_is_commanded_once_and_a_refusal_never(session: InsertionSession) -> None:
+    commanded = list[float]()
+    session.on_command = lambda command: commanded.append(command.dx_mm)
+    arm(session)
+    shows(session, 0)
+    assert session.attempt is not None
+    session.attempt.decision_pairs = [*session.attempt.ring]
+    session.on_result(WorkResult(1, 1, evidence(), None, {}), 0)
+    assert commanded == [], "the arm still moves"
+    (correction,) = stops(session)
+    assert stops(session) == [correction]
+    assert commanded == [correction.dx_mm]
+    arm(session, 2, S)
+    session.on_tick(4 * S)
+    assert len(commanded) == 1
+
+
+def test_an_insertion_that_ends_before_it_began_has_no_attempts(session: InsertionSession) -> None:
+    (end,) = session.handle(wire.Abort(insertion_id=ID, cause="operator", reason="done"), 0)
+    assert (end.attempts, end.outcome) == (0, "aborted")
