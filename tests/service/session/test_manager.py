@@ -2,6 +2,7 @@
 
 import json
 import threading
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -162,6 +163,20 @@ def test_an_insertion_goes_on_with_what_the_one_before_knew_where_it_names_it(
     wait_for_recorders()
     assert Recording(next(recorded.parent.glob("insertion.mcap"))).metadata["continues"] == ("one" if knows else "")
     assert shared.opened_n == 2
+
+
+def test_other_networks_go_on_with_nothing_that_the_ones_before_have_found(models: ModelSet, tmp_path: Path) -> None:
+    shared = manager(models, tmp_path)
+    client = Client(shared)
+    client.connect("one")
+    shared.receive(wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), client.send)
+    shared.abort("afresh", "turned")
+    shared.models = replace(models)
+    shared.connect(wire.ClientHello(insertion_id="two", client="test", continues="one"), Client(shared).send)
+    assert shared.active.session.models is shared.models
+    assert shared.active.session.decider is None
+    shared.abort("operator", "done")
+    wait_for_recorders()
 
 
 def test_only_the_connection_that_drives_is_listened_to(models: ModelSet, tmp_path: Path) -> None:

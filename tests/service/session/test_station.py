@@ -138,3 +138,18 @@ def test_frames_that_wait_while_their_insertion_ends_go_to_no_other_and_are_no_e
     idle._run()
     assert idle.counters.perception_errors_n == 0
     assert not idle._frames
+
+
+def test_what_the_networks_found_is_heard_of_in_the_perception_thread_alone(
+    idle: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard: list[object] = []
+    monkeypatch.setattr(idle.manager, "active", SimpleNamespace(result=heard.append))
+    idle._ticked_ns = time.monotonic_ns() + 10**12
+    for found in (None, "the first", "the second"):
+        idle._submit(SimpleNamespace(run=lambda found=found: found))  # type: ignore[arg-type]
+    idle._networks.submit(int).result()
+    assert heard == [], "another thread's"
+    idle._inbox.put(None)
+    idle._run()
+    assert heard == ["the first", "the second"]
