@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -102,8 +103,21 @@ def main(arguments: list[str]) -> int:
 
 
 def tasks(options: Options) -> list[Task]:
-    """Everything to play; logged results of other code or networks are ignored."""
+    """Everything to play; logged results of other code or networks are ignored.
+
+    Raises ValueError for a world whose sensor the networks do not read.
+    """
+    from simulation.closed_loop.play import models_of  # imports the service's pipeline
+
     worlds, objects = _what(options)
+    read = models_of(options.models).card.frame
+    for world, scene in product(worlds, objects.values()):
+        if (sensor := world.around(scene).sensor).rectified != read:
+            raise ValueError(
+                f"world {world.name}, object {scene.name}: pictures of the sensor {sensor.name} are "
+                f"{sensor.width_px} x {sensor.height_px} px; the networks in {options.models} read "
+                f"{read.width_px} x {read.height_px}"
+            )
     made_by = campaign.made_by({options.controller: options.models})
     return benchmark.tasks(worlds, objects, options.count, options.seed, options.models, made_by, **_how(options))
 
@@ -147,6 +161,8 @@ def _miswired(options: Options, made_by: str, log: Path) -> dict[str, str]:
             if (causes := named_wirings(four))
         }
         left = [world for world, four in zip(left, answers, strict=True) if not carried_out(four)]
+        if not left:
+            break
     return named
 
 

@@ -76,6 +76,14 @@ def test_another_object_is_tried_where_the_first_cannot_be_held(worlds, tmp_path
     assert not any("contradictory" in reason for reason in alone["swapped"]["reasons"])  # nobody could tell
 
 
+def test_a_sensor_that_the_networks_do_not_read_is_named_before_anything_is_played(tmp_path, monkeypatch):
+    monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played"))
+    (tmp_path / "mini.toml").write_text('[camera]\nsensor = "gelsight_mini"\n')
+    models = tiny_models.write_models(tmp_path / "models")
+    with pytest.raises(ValueError, match="world mini, object circle: pictures of the sensor gelsight_mini are 320 x"):
+        evaluated([str(tmp_path / "mini.toml")], models, tmp_path / "rows.json", "--objects", "circle")
+
+
 @pytest.mark.slow
 def test_swapped_fingers_are_named_by_what_the_cell_really_feels(worlds, tmp_path):
     rows = evaluated(worlds, released_models(), tmp_path / "rows.json", "--objects", "rectangle")

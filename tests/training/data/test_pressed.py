@@ -76,9 +76,9 @@ def test_a_network_is_trained_on_a_lerobot_export_as_on_the_shards_it_is_of(tmp_
         made_up_trial(
             k, gel=made_up_trial(k).gel * np.float16(3), onset_frame=8, drawn="{}", speed_mm_s=10.0, grip_n=20.0
         )
-        for k in range(12)
+        for k in range(6)
     ]
-    with DatasetWriter(tmp_path / "shards", made_up_manifest(trials_per_object=12)) as writer:
+    with DatasetWriter(tmp_path / "shards", made_up_manifest(trials_per_object=6)) as writer:
         writer.commit(writer.write_shard("rectangle-00000.parquet", trials))
         writer.finish()
     assert export_dataset([str(tmp_path / "shards"), "--out", str(tmp_path / "lerobot")]) == 0
