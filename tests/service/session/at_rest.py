@@ -64,9 +64,9 @@ def descends(session: InsertionSession, attempt: int = 1, at_ns: int = 0) -> lis
     return session.handle(wire.Descending(insertion_id=ID, attempt=attempt, speed_mm_s=10.0), at_ns)
 
 
-def stops(session: InsertionSession, attempt: int = 1, at_ns: int = 0, **told: Any) -> list[Any]:
+def stops(session: InsertionSession, attempt: int = 1, at_ns: int = 0, **stated: Any) -> list[Any]:
     usual = {"depth_mm": 3.0, "outcome": "blocked"}
-    return session.handle(wire.Stopped(insertion_id=ID, attempt=attempt, **usual | told), at_ns)
+    return session.handle(wire.Stopped(insertion_id=ID, attempt=attempt, **usual | stated), at_ns)
 
 
 def is_out_of_order(answers: list[Any]) -> bool:

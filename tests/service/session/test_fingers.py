@@ -42,12 +42,12 @@ def armed(left: Felt, right: Felt, generation: int = 1) -> Attempt:
 
 def lost(one: Hand, attempt: Attempt, shown: Sequence[tuple[Felt, Felt]]) -> list[int]:
     """The pairs at which the hand is said to be empty."""
-    said = []
+    pairs = []
     for index, (left, right) in enumerate(shown):
         one.shows(left, right)
         if one.emptied(attempt):
-            said.append(index)
-    return said
+            pairs.append(index)
+    return pairs
 
 
 def test_a_hand_is_empty_once_both_gels_were_so_twice_and_that_is_said_once() -> None:
@@ -122,7 +122,7 @@ def test_frames_are_stale_by_the_finger_that_is_further_behind_and_not_before_bo
 
 
 @pytest.mark.parametrize(
-    ("score", "state", "usable", "told"),
+    ("score", "state", "usable", "state_shown"),
     [
         (None, "hold", True, "hold"),
         (-0.01, "hold", True, "hold"),
@@ -133,26 +133,26 @@ def test_frames_are_stale_by_the_finger_that_is_further_behind_and_not_before_bo
     ],
 )
 def test_an_imprint_that_slides_stops_the_arm_unless_its_markers_did_or_cannot_be_read(
-    score: float | None, state: Any, usable: bool, told: str
+    score: float | None, state: Any, usable: bool, state_shown: str
 ) -> None:
-    seen = felt("left", *HELD)
-    field = seen.field if usable else replace(seen.field, status="no_grid")
-    seen = replace(seen, field=field, slip=replace(seen.slip, state=state))
-    watch: Any = SimpleNamespace(observe=lambda frame: replace(seen, finger=frame.finger))
+    observed = felt("left", *HELD)
+    field = observed.field if usable else replace(observed.field, status="no_grid")
+    observed = replace(observed, field=field, slip=replace(observed.slip, state=state))
+    watch: Any = SimpleNamespace(observe=lambda frame: replace(observed, finger=frame.finger))
     one = Fingers(watch, watch)
     asked = list[int]()
     one._witness = SimpleNamespace(update=lambda imprints: asked.append(len(imprints)) or score)  # type: ignore[assignment]
     for finger in ("left", "right"):
         slip = one.observe(frame(finger, 0, 0)).slip
-        assert (slip.state, slip.score) == (told, 1.0 if told != state else seen.slip.score)
-        assert slip.stop == (told == "gross_slip")
+        assert (slip.state, slip.score) == (state_shown, 1.0 if state_shown != state else observed.slip.score)
+        assert slip.stop == (state_shown == "gross_slip")
     assert asked == [1, 2], "both fingers, once they were seen"
 
 
 def test_slip_that_the_markers_show_is_told_by_them() -> None:
-    seen = felt("left", *HELD)
-    seen = replace(seen, slip=replace(seen.slip, state="gross_slip", score=0.4, reason="the rim lags"))
-    watch: Any = SimpleNamespace(observe=lambda _frame: seen)
+    observed = felt("left", *HELD)
+    observed = replace(observed, slip=replace(observed.slip, state="gross_slip", score=0.4, reason="the rim lags"))
+    watch: Any = SimpleNamespace(observe=lambda _frame: observed)
     one = Fingers(watch, watch)
     one._witness = SimpleNamespace(update=lambda _imprints: 0.7)  # type: ignore[assignment]
     assert one.observe(frame("left", 0, 0)).slip.reason == "the rim lags"

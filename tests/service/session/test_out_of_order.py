@@ -58,8 +58,8 @@ def test_a_speed_that_is_told_on_the_way_begins_a_leg_and_no_new_descent(session
     leg = wire.Descending(insertion_id=ID, attempt=1, speed_mm_s=5.0, start_mm=2.0)
     assert session.handle(leg, 8) == []
     assert session.attempt is not None
-    told = session.attempt
-    assert (told.descending_ns, told.leg_ns, told.speed_mm_s, told.start_mm) == (3, 8, 5.0, 2.0)
+    under_way = session.attempt
+    assert (under_way.descending_ns, under_way.leg_ns, under_way.speed_mm_s, under_way.start_mm) == (3, 8, 5.0, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -158,15 +158,15 @@ def test_of_two_results_the_first_one_is_kept(session: InsertionSession) -> None
 
 
 def test_frames_between_attempts_are_not_judged_but_are_as_new_as_any(session: InsertionSession) -> None:
-    judged = list[int]()
-    session.on_observation = lambda observation: judged.append(observation.seq)
+    observed = list[int]()
+    session.on_observation = lambda observation: observed.append(observation.seq)
     arm(session)
     (refused,) = session.on_tick(3 * S)
     assert refused.detail == "no frame pair arrived"
     shows(session, 0, 3 * S)
     session.on_frame(TactileFrame("left", 1, 4 * S, PIXELS), 4 * S)
     session.on_frame(TactileFrame("right", 1, 4 * S, PIXELS), 4 * S)
-    assert judged == []
+    assert observed == []
     (beat,) = session.handle(wire.ClientHeartbeat(insertion_id=ID, count=1), 4 * S + 2_000_000)
     assert beat.frame_age_ms == 2.0
 

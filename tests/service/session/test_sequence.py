@@ -70,7 +70,7 @@ def test_the_arm_is_stated_to_have_gone_as_far_as_its_speed_took_it_and_to_stand
     monkeypatch, order, stands_at, depth_mm
 ):
     """Pairs 0.1 s apart; the session arms with the third one and gives its order with the sixth; 4 mm/s."""
-    said, ticked_ns = [], []
+    sent, ticked_ns = [], []
 
     def on_pair(pair, _now_ns):
         return [SimpleNamespace(type={2: "armed", 5: order}.get(pair, "watching"))]
@@ -79,15 +79,15 @@ def test_the_arm_is_stated_to_have_gone_as_far_as_its_speed_took_it_and_to_stand
         captured_ns = property(lambda self: 10**10 + self * 10**8)
 
     session = SimpleNamespace(
-        handle=lambda message, now_ns: said.append((message, now_ns)) or [],
+        handle=lambda message, now_ns: sent.append((message, now_ns)) or [],
         on_pair=on_pair,
         on_tick=lambda now_ns: ticked_ns.append(now_ns) or [],
     )
     monkeypatch.setattr("service.session.sequence.make_session", lambda _models: session)
     with pytest.raises(Refusal, match="expected pairs from rest to the stop"):
         decide(None, [Pair(index) for index in range(10)], 56.0, speed_mm_s=4.0)
-    assert [message.type for message, _ in said] == ["hello", "arm", "descending", "stopped"]
-    (descending, began_ns), (stopped, stopped_ns) = said[2:]
+    assert [message.type for message, _ in sent] == ["hello", "arm", "descending", "stopped"]
+    (descending, began_ns), (stopped, stopped_ns) = sent[2:]
     assert (descending.speed_mm_s, began_ns, stopped_ns) == (4.0, Pair(2).captured_ns, Pair(stands_at).captured_ns)
     assert (stopped.depth_mm, stopped.outcome) == (pytest.approx(depth_mm), "blocked")
     assert ticked_ns[0] - Pair(9).captured_ns > 30 * 10**9

@@ -98,14 +98,14 @@ def test_a_finger_that_has_a_camera_takes_no_pushed_frames(idle: Station) -> Non
 
 
 class Driven:
-    """An insertion that wants frames or does not; ``seen`` are the frames that it was given."""
+    """An insertion that wants frames or does not; ``frames`` are the frames that it was given."""
 
     def __init__(self, *, wants_frames: bool) -> None:
-        self.wants_frames, self.seen = wants_frames, list[int]()
+        self.wants_frames, self.frames = wants_frames, list[int]()
         self.session = SimpleNamespace(watches_slip=False)
 
     def frame(self, frame: CameraFrame, _pair: object) -> None:
-        self.seen.append(frame.frame.seq)
+        self.frames.append(frame.frame.seq)
 
 
 def deliver(station: Station, *numbers: int) -> None:
@@ -123,7 +123,7 @@ def test_frames_between_attempts_are_neither_perceived_nor_counted_as_dropped(
     deliver(idle, *range(1, 11))
     for _ in range(10):
         idle._next_frame()
-    assert driven.seen == ([3, 4, 5, 6, 7, 8, 9, 10] if wanted else [])
+    assert driven.frames == ([3, 4, 5, 6, 7, 8, 9, 10] if wanted else [])
     assert idle.counters.frames_dropped_n == (2 if wanted else 0)
 
 
@@ -146,8 +146,8 @@ def test_what_the_networks_found_is_heard_of_in_the_perception_thread_alone(
     heard: list[object] = []
     monkeypatch.setattr(idle.manager, "active", SimpleNamespace(result=heard.append))
     idle._ticked_ns = time.monotonic_ns() + 10**12
-    for found in (None, "the first", "the second"):
-        idle._submit(SimpleNamespace(run=lambda found=found: found))  # type: ignore[arg-type]
+    for result in (None, "the first", "the second"):
+        idle._submit(SimpleNamespace(run=lambda result=result: result))  # type: ignore[arg-type]
     idle._networks.submit(int).result()
     assert heard == [], "another thread's"
     idle._inbox.put(None)
