@@ -53,12 +53,12 @@ class WorkResult:
     latency_ms: dict[str, float]
 
 
-def unlike_grids(both: PairObservation) -> list[str]:
-    """The fault if the fingers' gels carry different grids: no network was trained on such a pair."""
+def unlike_grids(both: PairObservation) -> str:
+    """The fault if the fingers' gels carry different grids, or "": no network was trained on such a pair."""
     (rows, columns), (right_rows, right_columns) = (finger.field.valid.shape for finger in both.fingers)
     if (rows, columns) == (right_rows, right_columns):
-        return []
-    return [f"the fingers show different grids: left {columns} x {rows} markers, right {right_columns} x {right_rows}"]
+        return ""
+    return f"the fingers show different grids: left {columns} x {rows} markers, right {right_columns} x {right_rows}"
 
 
 def nothing_held(both: PairObservation) -> str:
@@ -132,6 +132,12 @@ class Attempt:
             watch.rearm()
             self.rearmed.add(frame.finger)
 
+    def unread(self, observation: Observation) -> None:
+        """While arming, a frame that cannot be read is no reference: the finger's next frame is tried."""
+        if self.stage is Stage.ARMING and not observation.field.usable:
+            self.rearmed.discard(observation.finger)
+            self.problem = f"{observation.finger}: {observation.field.reason or observation.field.status}"
+
     def take_reference(self, both: PairObservation) -> Armed | Refused | None:
         """Arm with this pair if both fingers are rearmed and readable; else store the problem and return None.
 
@@ -139,11 +145,9 @@ class Attempt:
         """
         if self.rearmed != {"left", "right"}:
             return None
-        problems = [f"{o.finger}: {o.field.reason or o.field.status}" for o in both.fingers if not o.field.usable]
-        problems = problems or unlike_grids(both)
-        if problems:
+        self.problem = unlike_grids(both)
+        if self.problem:
             self.rearmed.clear()
-            self.problem = "; ".join(problems)
             return None
         if why := nothing_held(both):
             return self.refusal("nothing_held", why)

@@ -80,8 +80,9 @@ class TactileFinger:
         rectified = time.perf_counter()
         tracked_field = self._tracker.update(image, frame.captured_ns)
         tracked = time.perf_counter()
-        bulge = self._open.bulge(tracked_field)
-        field = self._liveness.checked(image, tracked_field, touched=bulge is None or bulge >= 1.0)
+        bulge, small = self._open.bulge(tracked_field), shrunk(image)
+        touched = bulge is None or bulge >= 1.0 or (self._open.shade(small) or 0.0) >= 1.0
+        field = self._liveness.checked(image, tracked_field, touched=touched)
         marked = self._open.mark(field)
         if self._rearm:
             slip = self._slip.rearm(field)
@@ -93,7 +94,7 @@ class TactileFinger:
             slip = self._slip.update(marked if self._held else field)
             onset = self._onset.update(field)
         slip = self._with_contact(slip, empty=untouched(marked))
-        touch = self._open.touch(field, shrunk(image))
+        touch = self._open.touch(field, small)
         imprint = self._imprint.update(image, field) if self._imprint else None
         cost_ms = {
             "rectify": rectify_ms,

@@ -183,6 +183,7 @@ class InsertionSession:
             return []
         attempt.rearm(watch, frame)
         observation = self._fingers.observe(frame)
+        attempt.unread(observation)
         self.on_observation(observation)
         if attempt.stage is not Stage.ARMED or attempt.slip_sent:
             return []

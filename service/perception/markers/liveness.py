@@ -23,8 +23,8 @@ class Liveness:
     """Follows one finger's pictures, and distinguishes copies from new ones.
 
     A copy is detected from the second one on, if the original was seen and had noise of its own. A picture that stood
-    still before looks live, except that of the open hand, which a grasp changes. A light grip that has moved no marker
-    must at least have changed the grain.
+    still before looks live, except that of the open hand, which a grasp changes. A light grip that has neither moved
+    the markers nor changed the shading must at least have changed the grain.
     """
 
     def __init__(self) -> None:
@@ -46,7 +46,7 @@ class Liveness:
     def checked(self, image: NDArray[np.uint8], field: MarkerField, *, touched: bool) -> MarkerField:
         """The field tracked in a rectified frame uint8 [H, W, 3]; a "duplicate" where the frame is a copy.
 
-        ``touched``: whether its markers are displaced from the open gel.
+        ``touched``: whether its markers or its shading differ from the open gel.
         """
         if not field.usable:
             return field

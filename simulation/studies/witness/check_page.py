@@ -70,9 +70,9 @@ def _worst(rows: list[Row], name: str) -> str:
 
 
 def _hard(hard: Mapping[str, Any]) -> str:
-    ended = ", ".join(f"{count} {how}" for how, count in hard["ended"].items())
+    ended = ", ".join(f"{count:,} {how}" for how, count in hard["ended"].items())
     return (
-        f"{hard['probes']} random descents as in [hard probes](hard_probes.md), in a gel that ends 1 mm beyond the "
+        f"{hard['probes']:,} random descents as in [hard probes](hard_probes.md), in a gel that ends 1 mm beyond the "
         f"markers and has a Poisson's ratio of 0.48, ended as follows: {ended}. Every number was finite. The worst "
         f"residual is {hard['worst_residual_n']:.1e} N (limit 1e-6)."
     )

@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from service.contract import wire
@@ -193,6 +194,16 @@ def test_one_blind_finger_in_a_descent_is_as_stale_as_two(session: InsertionSess
     assert [message.code for message in messages] == ["stale_frames"]
     (beat,) = session.handle(wire.ClientHeartbeat(insertion_id=ID, count=1), frame.captured_ns)
     assert beat.frame_age_ms == pytest.approx(frame.captured_ns / 1e6)
+
+
+def test_a_first_frame_that_cannot_be_read_is_no_reference_and_the_next_one_is(session: InsertionSession) -> None:
+    hello(session)
+    arm = wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+    session.handle(arm, drawn.pair(0).captured_ns)
+    dark = replace(drawn.pair(0).right, pixels=np.zeros_like(drawn.pair(0).right.pixels))
+    assert session.on_frame(dark, dark.captured_ns) == [], "the left camera dropped its frame, so there is no pair"
+    answers = [answer for k in (1, 2) for answer in session.on_pair(drawn.pair(k), drawn.pair(k).captured_ns)]
+    assert [answer.type for answer in answers] == ["armed", "watching"], "both fingers watch from the next pair on"
 
 
 def test_after_a_cameras_fault_the_same_attempt_is_armed_with_a_new_reference_only(session: InsertionSession) -> None:

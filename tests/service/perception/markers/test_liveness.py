@@ -57,3 +57,19 @@ def test_a_picture_that_no_grasp_has_changed_is_none_until_it_changes():
         pixels = renderer.raw(gel, 500 + k)
         new.append(finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, pixels)).field.usable)
     assert new == [True] + [False] * 3 + [True] * 6, "what lets go later is a release, not a copy"
+
+
+def test_a_light_grip_that_only_shades_the_gel_is_a_new_picture():
+    renderer = drawn.renderer("left")
+    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    at_rest = np.zeros((20, 21, 3), np.float32)
+    finger.learn_open(TactileFrame("left", 0, 0, renderer.raw(at_rest, 500)))
+    finger.rearm()
+    shape = renderer.raw(at_rest, 501).shape[:2]
+    v, u = (np.linspace(-2.0, 2.0, size) for size in shape)
+    shade = 25.0 * np.exp(-np.square(v)[:, None] - np.square(u))[..., None]  # far too smooth for the grain
+    for k in range(1, 6):
+        picture = np.clip(renderer.raw(at_rest, 500 + k) + shade, 0, 255).astype(np.uint8)
+        seen = finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, picture))
+        assert (seen.bulge or 0.0) < 1.0
+        assert seen.field.usable
