@@ -182,8 +182,7 @@ class InsertionSession:
         if attempt is None or not self.wants_frames:
             return []
         attempt.rearm(watch, frame)
-        observation = self._fingers.observe(frame)
-        attempt.unread(observation)
+        attempt.unread(observation := self._fingers.observe(frame))
         self.on_observation(observation)
         if attempt.stage is not Stage.ARMED or attempt.slip_sent:
             return []

@@ -9,6 +9,7 @@ import pytest
 
 from service.contract import Finger, TactileFrame, wire
 from service.decision.attempt import Attempt, Stage
+from service.perception.markers.field import empty_field
 from service.perception.observation import Observation, PairObservation
 from tests.service.decision.test_claim import observation
 
@@ -69,15 +70,22 @@ def test_an_attempt_is_armed_with_a_pair_of_two_rearmed_fingers_dated_by_the_old
     assert [pair.captured_ns for pair in attempt.ring] == [1002]
 
 
-def test_an_unreadable_pair_arms_nothing_and_slip_is_counted_anew_from_a_later_one() -> None:
-    attempt = ready()
-    unread = both(1000, 1000)
-    unread = replace(unread, left=replace(unread.left, field=replace(unread.left.field, status="no_grid", reason="")))
-    assert attempt.take_reference(unread) is None
+def test_a_frame_that_cannot_be_read_is_no_reference_and_slip_is_counted_anew_from_a_later_one() -> None:
+    attempt, dark = ready(), at("left", 1000)
+    attempt.unread(replace(dark, field=replace(dark.field, status="no_grid", reason="")))
+    attempt.unread(at("right", 1000))
     assert attempt.problem == "left: no_grid"
-    assert attempt.take_reference(both(1005, 1005)) is None, "its fingers were rearmed with the pair before"
-    assert rearmed(attempt, frame("left", 1010), frame("right", 1010)) == [1010, 1010]
+    assert attempt.take_reference(both(1005, 1000)) is None, "left has no reference"
+    assert rearmed(attempt, frame("left", 1010), frame("right", 1010)) == [1010]
     assert isinstance(attempt.take_reference(both(1010, 1010)), wire.Armed)
+
+
+def test_fingers_with_different_grids_are_not_armed_and_both_are_tried_anew() -> None:
+    attempt, pair = ready(), both(1000, 1000)
+    other = replace(pair.right, field=empty_field(1000, "ok", ""))
+    assert attempt.take_reference(replace(pair, right=other)) is None
+    assert attempt.problem.startswith("the fingers show different grids: left 21 x 20 markers, right ")
+    assert rearmed(attempt, frame("left", 1010), frame("right", 1010)) == [1010, 1010]
 
 
 @pytest.mark.parametrize(
