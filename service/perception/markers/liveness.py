@@ -40,8 +40,8 @@ class Liveness:
         self._open = _grain(image)
 
     def rearm(self) -> None:
-        """The next frame shows a held object."""
-        self._armed_n, self._changed = 0, self._open is None
+        """The next frame shows a held object, let go by whatever pressed it in the last frames: they are no series."""
+        self._armed_n, self._changed, self._before = 0, self._open is None, None
 
     def checked(self, image: NDArray[np.uint8], field: MarkerField, *, touched: bool) -> MarkerField:
         """The field tracked in a rectified frame uint8 [H, W, 3]; a "duplicate" where the frame is a copy.

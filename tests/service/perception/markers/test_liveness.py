@@ -73,3 +73,14 @@ def test_a_light_grip_that_only_shades_the_gel_is_a_new_picture():
         observation = finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, picture))
         assert (observation.bulge or 0.0) < 1.0
         assert observation.field.usable
+
+
+@pytest.mark.parametrize("pressed_mm", [(0.05, 0.06), (0.12, 0.16)])
+def test_an_object_that_hangs_free_again_is_a_new_picture_after_a_press(pressed_mm):
+    renderer = drawn.renderer("left")
+    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    for k, shift_mm in enumerate((0.0, *pressed_mm, 0.0)):
+        if shift_mm == 0.0:
+            finger.rearm()  # no frame is looked at while the arm goes up
+        pixels = renderer.raw(drawn.gel(shift_mm), 500 + k)
+        assert finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, pixels)).field.usable
