@@ -24,7 +24,7 @@ STANDS_DEG = 0.7  # at full depth, including the turn left by earlier attempts
 FEWEST_N = 4  # markers that determine a turn
 
 
-def hangs_turned(both: PairObservation, left_deg: float = 0.0) -> str:
+def hangs_turned(both: PairObservation, left_deg: float) -> str:
     """Why an object does not hang upright in the hand, or "".
 
     The gels show that its weight has turned it, alone or together with ``left_deg``, the turn left by earlier attempts.
@@ -39,7 +39,7 @@ def hangs_turned(both: PairObservation, left_deg: float = 0.0) -> str:
     return ""
 
 
-def turned_going_in(both: PairObservation, hung: PairObservation | None, left_deg: float = 0.0) -> str:
+def turned_going_in(both: PairObservation, hung: PairObservation | None, left_deg: float) -> str:
     """Why an object does not hang at full depth as it ``hung`` above, or "": something in the gap holds it askew.
 
     If the whole contact slides all the way down, its motion per frame is too small to be detected; against the open

@@ -55,7 +55,7 @@ class Decider:
         """Doubts against a claim of full depth, empty if none; None while frames may still resolve them."""
         if newest_age_s(attempt.pushes, now_ns) * 1e3 <= max_age_ms:
             return doubts(attempt, self.grasp)
-        waited_s = 0.0 if attempt.stopped_ns is None else (now_ns - attempt.stopped_ns) / 1e9
+        waited_s = _stood_s(attempt, now_ns)
         if waited_s <= self.deadlines.decision_frames_s:
             return None
         detail = f"no pair showed within {waited_s:.1f} s what the gels carry at full depth"
@@ -63,13 +63,12 @@ class Decider:
 
     def _decide(self, attempt: Attempt, now_ns: int) -> Decision | None:
         self.command = None
-        if attempt.stage is not Stage.STOPPED or attempt.stopped_ns is None:
+        if attempt.stage is not Stage.STOPPED:
             return None
         if attempt.broken:
             return self._refuse(attempt, Refusal("stale", f"a camera failed during the attempt: {attempt.broken}"))
         if attempt.result is None:
-            waited_s = (now_ns - attempt.stopped_ns) / 1e9
-            refusal = overdue(attempt, waited_s, self.models.card.frames_per_decision, self.deadlines)
+            refusal = overdue(attempt, _stood_s(attempt, now_ns), self.models.card.frames_per_decision, self.deadlines)
             return None if refusal is None else self._refuse(attempt, refusal)
         if attempt.result.evidence is None:
             return self._refuse(attempt, attempt.result.refusal or Refusal("non_finite", "no evidence"))
@@ -100,3 +99,9 @@ class Decider:
             reason=refusal.reason,
             detail=str(refusal),
         )
+
+
+def _stood_s(attempt: Attempt, now_ns: int) -> float:
+    """For how long the arm has stood still."""
+    assert attempt.stopped_ns is not None
+    return (now_ns - attempt.stopped_ns) / 1e9

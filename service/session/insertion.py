@@ -166,9 +166,7 @@ class Insertion:
     def _settle_unless_near(self, now: int, *, paired: bool) -> None:
         """Settle, unless the answer may come next; nothing waits for long."""
         attempt = self.session.attempt
-        near = attempt is not None and attempt.stage is Stage.STOPPED
-        if near and paired and attempt is not None:
-            near = attempt.fed
+        near = attempt is not None and attempt.stage is Stage.STOPPED and (attempt.fed or not paired)
         if not near or now - self._settled_ns > HOLD_S * 1e9:
             self._settle()
 

@@ -99,8 +99,8 @@ def tried(chosen: list[Mutant], workers: int, timeout_s: float, scratch: Path) -
             copies.put(copy)
 
     with ThreadPoolExecutor(workers) as pool:
-        for worker in range(workers):
-            copies.put(Copy(copied(scratch / str(worker))))
+        for begun in [Copy(copied(scratch / str(worker))) for worker in range(workers)]:
+            copies.put(begun.ready())
         while left:
             for change, failed in zip(left, pool.map(attempt, left), strict=True):
                 killed_by[change] = failed

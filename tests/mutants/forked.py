@@ -1,7 +1,8 @@
 """Tests of a copy of the repository in forks of a process that has imported it: a mutant costs its tests alone.
 
-`python -m tests.mutants.forked` in the copy reads a request a line, {"module", "tests", "timeout_s"} as JSON, and
-answers each with a line: the first test that fails, empty if all pass. What imports the module is imported anew.
+`python -m tests.mutants.forked` in the copy answers with a line once it has imported everything. Then it reads a
+request a line, {"module", "tests", "timeout_s"} as JSON, and answers each with a line: the first test that fails, empty
+if all pass. What imports the module is imported anew.
 """
 
 import ast
@@ -44,6 +45,12 @@ class Copy:
             stdout=subprocess.PIPE,
             text=True,
         )
+
+    def ready(self) -> "Copy":
+        """Wait until everything is imported: a file that changes before would be changed for all requests."""
+        assert self._process.stdout is not None
+        self._process.stdout.readline()
+        return self
 
     def failure(self, module: str, tests: list[str], timeout_s: float) -> str:
         """The first of the tests that fails in this copy as its files are now; empty if all of them pass."""
@@ -135,6 +142,7 @@ def main() -> None:
     by = importers()
     gc.collect()
     gc.freeze()  # a fork that collects garbage would copy all of this
+    print(json.dumps("ready"), file=answers, flush=True)
     for line in sys.stdin:
         print(json.dumps(outcome(json.loads(line), by)), file=answers, flush=True)
 

@@ -60,7 +60,8 @@ def test_each_mutant_differs_from_the_module_in_one_line() -> None:
     ("module", "folder"),
     [
         ("service/decision/belief.py", "tests/service/decision"),
-        ("robot_client/robots/dry_run/driver.py", "tests/robot_client/robots"),
+        ("robot_client/robots/abb_egm/watch.py", "tests/robot_client/robots/abb_egm"),
+        ("robot_client/cli/none/driver.py", "tests/robot_client/cli"),
     ],
 )
 def test_a_mutant_meets_the_room_of_its_own_room(module: str, folder: str) -> None:

@@ -48,9 +48,15 @@ class RobotState:
     collided: bool = False  # RobotWare 7: its motion supervision has triggered
 
     @property
-    def moving_allowed(self) -> bool:
-        """Motors on, RAPID running, motion control in EGM and no collision: the robot follows targets."""
-        return self.motors_on and self.rapid_running and self.mc_state == "running" and not self.collided
+    def unfit(self) -> str:
+        """Why the robot does not follow targets, or ""."""
+        if not self.motors_on:
+            return "the motors are off"
+        if not self.rapid_running:
+            return "the RAPID program does not run"
+        if self.mc_state != "running":
+            return f"motion control reports EGM {self.mc_state}"
+        return "motion supervision has seen a collision" if self.collided else ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,8 +33,7 @@ class EgmWatch:
     worst_age_s: float = 0.0
     not_ready: str = ""
     _bad_in_a_row: int = 0
-    _sequence: int | None = None
-    _robot_ms: int = 0
+    _last: RobotState | None = None
     _robot_s: float = 0.0  # since the first datagram, on the robot's clock
     _newest_s: float | None = None
     _least_lag_s: float | None = None
@@ -48,18 +47,18 @@ class EgmWatch:
 
     def take(self, state: RobotState, now_s: float) -> float | None:
         """Time in s on the robot's clock since the last datagram; None for a repeated or reordered one."""
-        if self._sequence is not None and not 0 < (state.sequence - self._sequence) % 2**32 < 2**31:
+        last = self._last or state
+        if self._last is not None and not 0 < (state.sequence - last.sequence) % 2**32 < 2**31:
             self.repeated += 1
             return None
-        first = self._sequence is None
-        step_ms = 0 if first else (state.time_ms - self._robot_ms + 2**31) % 2**32 - 2**31  # their clock wraps
+        step_ms = (state.time_ms - last.time_ms + 2**31) % 2**32 - 2**31  # their clock wraps
         self._robot_s += step_ms / 1e3
         elapsed_s = max(0.0, step_ms / 1e3)
         if self._newest_s is not None and now_s - self._newest_s > 0.014:
             self.gaps += 1
             self.worst_gap_s = max(self.worst_gap_s, now_s - self._newest_s)
         self.silence.heard(now_s)
-        self._sequence, self._robot_ms, self._newest_s, self._bad_in_a_row = state.sequence, state.time_ms, now_s, 0
+        self._last, self._newest_s, self._bad_in_a_row = state, now_s, 0
         lag_s = now_s - self._robot_s
         drifted_s = lag_s if self._least_lag_s is None else self._least_lag_s + _DRIFT * elapsed_s
         self._least_lag_s = min(drifted_s, lag_s)
@@ -69,14 +68,13 @@ class EgmWatch:
 
     def ready(self, state: RobotState) -> bool:
         """True if the controller follows targets; ``not_ready`` names the missing condition."""
-        self.not_ready = _missing(state)
+        self.not_ready = state.unfit
         return not self.not_ready
 
     def check(self, state: RobotState) -> None:
         """Raise StreamFault if the controller no longer follows or its datagrams come late."""
-        missing = _missing(state)
-        if missing:
-            raise StreamFault("controller", missing)
+        if state.unfit:
+            raise StreamFault("controller", state.unfit)
         if self._age_s > self.max_age_s:
             raise StreamFault(
                 "stale", f"datagrams are {self._age_s * 1e3:.0f} ms late, allowed {self.max_age_s * 1e3:g}"
@@ -101,13 +99,3 @@ class EgmWatch:
             "worst_gap_ms": round(self.worst_gap_s * 1e3, 1),
             "worst_age_ms": round(self.worst_age_s * 1e3, 1),
         }
-
-
-def _missing(state: RobotState) -> str:
-    if not state.motors_on:
-        return "the motors are off"
-    if not state.rapid_running:
-        return "the RAPID program does not run"
-    if state.mc_state != "running":
-        return f"motion control reports EGM {state.mc_state}"
-    return "motion supervision has seen a collision" if state.collided else ""

@@ -71,21 +71,22 @@ def _number(text: str) -> float:
 
 def decode_guard(text: str) -> GuardState:
     """Read the guard's answer (without ``#``); raises ValueError."""
-    fields = text.split()
-    if len(fields) != 11 or fields[0] != "P" or not set(fields[9:]) <= {"0", "1"}:
-        raise RapidTextError(f"the guard answered {text[:MAX_TEXT]!r}, expected P with ten fields")
-    values = [_number(part) for part in fields[1:9]]
-    pose = Pose(*values[1:4], *values[4:8]).check("guard pose")
-    return GuardState(int(values[0]), pose, fields[9] == "1", fields[10] == "1")
+    match text.split():
+        case ["P", number, x, y, z, qw, qx, qy, qz, "0" | "1" as moving, "0" | "1" as stopped]:
+            pose = Pose(*map(_number, (x, y, z, qw, qx, qy, qz))).check("guard pose")
+            return GuardState(int(_number(number)), pose, moving == "1", stopped == "1")
+    raise RapidTextError(f"the guard answered {text[:MAX_TEXT]!r}, expected P with ten fields")
 
 
 def decode_motion(text: str) -> MotionAnswer:
     """Read the motion server's answer (without ``#``); raises RapidTextError."""
-    fields = text.split(maxsplit=2)
-    if len(fields) == 2 and fields[0] in ("D", "S"):
-        return MotionAnswer(int(_number(fields[1])), "done" if fields[0] == "D" else "stopped")
-    if len(fields) == 3 and fields[0] == "E":
-        return MotionAnswer(int(_number(fields[1])), "refused", fields[2])
+    match text.split(maxsplit=2):
+        case ["D", number]:
+            return MotionAnswer(int(_number(number)), "done")
+        case ["S", number]:
+            return MotionAnswer(int(_number(number)), "stopped")
+        case ["E", number, reason]:
+            return MotionAnswer(int(_number(number)), "refused", reason)
     raise RapidTextError(f"the motion server answered {text[:MAX_TEXT]!r}, expected D, S or E")
 
 

@@ -50,12 +50,10 @@ class SocketArm:
     _asked: int = 0
     _here: WorkPose | None = None
     _target: WorkPose | None = None
-    _still: WorkPose | None = None
-    _still_since_s: float = 0.0
+    _still: tuple[WorkPose, float] | None = None  # the arm stands here since then
     _silence: Silence = field(init=False)
     _latched: str = ""
     _answers: int = 0
-    _tilt_deg: float = 0.0
     _until_s: float | None = None
 
     def __post_init__(self) -> None:
@@ -201,13 +199,13 @@ class SocketArm:
         try:
             state = codec.decode_guard(text)
             near_deg = self._here.yaw_deg if self._here else 0.0
-            self._here, self._tilt_deg = self.frame.from_controller(state.pose, near_deg)
+            self._here, tilt_deg = self.frame.from_controller(state.pose, near_deg)
         except ValueError:
             return  # not an answer: only answers keep the link alive
         self._silence.heard(time.monotonic())
         self._answers += 1
-        if self._tilt_deg > self.limits.max_tilt_deg:
-            self._fail("tilt", f"the tool is tilted by {self._tilt_deg:.2f} deg")
+        if tilt_deg > self.limits.max_tilt_deg:
+            self._fail("tilt", f"the tool is tilted by {tilt_deg:.2f} deg")
         self._release(state)
         self._settle(self._here, state)
 
@@ -246,11 +244,10 @@ class SocketArm:
         # Wait for the answer to a move that is still on its way: the next release would start it.
         if self._waiting != "standstill" or not state.stopped or self._sent is not None:
             return
-        if self._still is None or (
-            self._still.distance_mm(here) > _STILL_MM or self._still.turn_deg(here) > _STILL_DEG
-        ):
-            self._still, self._still_since_s = here, now_s
-        elif now_s - self._still_since_s >= _STILL_S:
+        where, since_s = self._still or (here, now_s)
+        if self._still is None or where.distance_mm(here) > _STILL_MM or where.turn_deg(here) > _STILL_DEG:
+            self._still = here, now_s
+        elif now_s - since_s >= _STILL_S:
             self._waiting = None
             self._report(Standstill(at_s=now_s, pose=here, still_s=_STILL_S))
 

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.contract import Sensor, wire
+from service.contract.words.wiring import WIRINGS
 from service.decision.consistency import Consistency, one_sided
 from service.decision.evidence import Refusal
 from service.perception.markers.field import field_from_gel
@@ -182,3 +183,20 @@ def test_a_clear_turn_from_one_side_is_enough_and_of_small_ones_two_that_nothing
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_turn_that_is_not_finite_is_no_evidence(bad: float) -> None:
     assert one_sided(pair(bad, 4.0)) == one_sided(pair(4.0, bad)) == one_sided(pair(bad, bad)) == 0
+
+
+def explained(odds: dict[tuple[int, int], float]) -> list[str]:
+    """Causes named where each wiring explains the attempts so many times better than a good cell."""
+    consistency = Consistency()
+    for signs, followed in consistency._followed.items():
+        followed.log_evidence = math.log(odds.get(signs, 1e-3)) if signs != (1, 1) else 0.0
+    return consistency.causes()
+
+
+def test_a_reversed_cell_is_named_from_odds_of_twenty_on_and_with_it_what_is_up_to_five_times_unlikelier() -> None:
+    first, second, _ = WIRINGS
+    assert explained({first: 19.9}) == []
+    assert explained({first: 20.1}) == [WIRINGS[first]]
+    assert explained({first: 100.0, second: 20.1}) == [WIRINGS[first], WIRINGS[second]]
+    assert explained({first: 100.0, second: 19.9}) == [WIRINGS[first]]
+    assert explained({first: 40.0, second: 90.0}) == [WIRINGS[second], WIRINGS[first]], "the likeliest first"

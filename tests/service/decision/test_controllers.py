@@ -24,7 +24,15 @@ def certain(name: str, dx_mm: float, dtheta_deg: float) -> Evidence:
 
 @pytest.mark.parametrize(
     ("sign", "estimate", "command"),
-    [(1, 10.0, -7.0), (-1, -10.0, 7.0), (0, 10.0, -3.0), (1, -4.0, -3.0), (-1, 4.0, 3.0), (1, 0.0, -3.0)],
+    [
+        (1, 10.0, -7.0),
+        (-1, -10.0, 7.0),
+        (0, 10.0, -3.0),
+        (1, -4.0, -3.0),
+        (-1, 4.0, 3.0),
+        (1, 0.0, -3.0),
+        (1, 0.5, -0.35),
+    ],
 )
 def test_equation_1_with_the_sign_of_the_error(sign: int, estimate: float, command: float) -> None:
     assert axis_command(sign, estimate, first=True) == pytest.approx(command)

@@ -121,11 +121,11 @@ def test_turns_are_told_from_the_same_size_on() -> None:
     """In steps of 0.05 deg, of 0.02 deg where a turn is expected to stay."""
     turns_deg = np.arange(0.05, 1.2, 0.05)
     answers = {
-        "hangs": [bool(hangs_turned(hanging(turn))) for turn in turns_deg],
+        "hangs": [bool(hangs_turned(hanging(turn), 0.0)) for turn in turns_deg],
         "left": [bool(hangs_turned(hanging(0.0), turn)) for turn in turns_deg],
-        "went in": [bool(turned_going_in(last(math.radians(turn)), None)) for turn in turns_deg],
+        "went in": [bool(turned_going_in(last(math.radians(turn)), None, 0.0)) for turn in turns_deg],
         "stands": [bool(turned_going_in(last(0.0), None, turn)) for turn in turns_deg],
-        "around": [hangs_turned(hanging(0.9, around)) for around in (0.0, 0.1, 0.2, 0.3, 0.5)],
+        "around": [hangs_turned(hanging(0.9, around), 0.0) for around in (0.0, 0.1, 0.2, 0.3, 0.5)],
         "lasts": [
             lasting_turn_deg(last(turn, share * turn), FREE) for turn in (0.02, -0.05) for share in (0.1, 0.4, 0.9)
         ],

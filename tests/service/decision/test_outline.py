@@ -35,6 +35,17 @@ def test_hits_are_the_sum_over_all_errors_of_what_enters_when_a_cell_is_aimed_at
     assert outlines.hits(errors)[row, column] == pytest.approx((errors * aimed).sum(), abs=1e-12)
 
 
+@pytest.mark.parametrize("clearance_mm", [9.0, 16.0, 21.0])
+def test_a_wide_gap_is_not_entered_from_beyond_the_other_end_of_the_grid(clearance_mm):
+    """The hits of the cells at both ends, as above, where the convolution could wrap around."""
+    outlines = Outlines(CELLS, (clearance_mm, 20.0), 90.0)
+    errors = np.random.default_rng(0).dirichlet(np.full(3 * 89 * 89, 0.01)).reshape(3, 89, 89)
+    hits = outlines.hits(errors)
+    for row, column in ((0, 0), (0, 88), (88, 0), (88, 88), (44, 44)):
+        aimed = outlines.chances(CELLS - CELLS[row], CELLS - CELLS[column])
+        assert hits[row, column] == pytest.approx((errors * aimed).sum(), abs=1e-12)
+
+
 def test_a_long_object_that_is_blocked_three_degrees_askew_may_still_be_there():
     """A rectangle of 100 mm takes up 2.6 mm at 3 deg: a block means nothing. A round one would have entered."""
     grid = BeliefGrid(length_mm=100.0)

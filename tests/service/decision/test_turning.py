@@ -105,12 +105,12 @@ def test_an_object_that_turns_on_the_way_down_is_told(turn_rad, shows):
     both = last(0.0)
     shown = getattr(both, shows)
     turned = replace(both, **{shows: replace(shown, slip=replace(shown.slip, angle_rad=turn_rad))})
-    assert bool(turned_going_in(turned, both)) == (abs(math.degrees(turn_rad)) > GOING_IN_DEG)
+    assert bool(turned_going_in(turned, both, 0.0)) == (abs(math.degrees(turn_rad)) > GOING_IN_DEG)
 
 
 @given(st.floats(-6.0, 6.0))
 def test_an_object_that_hangs_turned_is_told_from_one_that_hangs_upright(turn_deg):
-    reason = hangs_turned(hanging(turn_deg))
+    reason = hangs_turned(hanging(turn_deg), 0.0)
     if abs(turn_deg) > HANGS_DEG + 0.05:
         assert "nearer to its centre of mass" in reason
     if abs(turn_deg) < HANGS_DEG - 0.05:
@@ -128,12 +128,12 @@ def test_what_attempts_have_left_adds_to_what_the_weight_turns(hangs_deg, left_d
 
 @given(st.floats(-0.4, 0.4), st.floats(-4.0, 4.0))
 def test_a_contact_that_slid_all_the_way_down_shows_it_against_the_open_gels(hung_deg, down_deg):
-    reason = turned_going_in(hanging(hung_deg + down_deg), hanging(hung_deg))
+    reason = turned_going_in(hanging(hung_deg + down_deg), hanging(hung_deg), 0.0)
     assert bool(reason) == (abs(down_deg) > GOING_IN_DEG) or abs(abs(down_deg) - GOING_IN_DEG) < 0.05
 
 
 def test_gels_that_nothing_moves_show_no_turn():
-    assert not hangs_turned(last(0.0))
+    assert not hangs_turned(last(0.0), 0.0)
 
 
 def test_a_finger_that_has_let_go_does_not_hide_what_the_other_shows():

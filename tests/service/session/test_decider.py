@@ -68,14 +68,6 @@ def test_a_correction_states_what_the_controller_and_the_way_since_the_last_fram
     assert (one.command.dx_mm, one.command.dtheta_deg) == (correction.dx_mm, correction.dtheta_deg)
 
 
-def test_nothing_is_concluded_of_an_arm_that_is_not_known_to_stand() -> None:
-    attempt = descent(outcome="blocked", decision_pairs=[pair()], stopped_ns=None)
-    attempt.result = SimpleNamespace(evidence=evidence(), refusal=None, latency_ms={})
-    one = decider()
-    assert one.conclude(attempt, 10**12) is None
-    assert one.command is None
-
-
 @pytest.mark.parametrize(("waited_ms", "reason"), [(0, None), (2000, None), (2001, "no_motion")])
 def test_a_decision_is_waited_for_from_the_stop_on(waited_ms: int, reason: str | None) -> None:
     answer = decider().conclude(descent(outcome="blocked"), STOPPED_NS + waited_ms * MS)

@@ -10,7 +10,7 @@ from service.contract import FramePair, wire
 from service.contract.shipped import released_models
 from service.decision.evidence import Refusal
 from service.perception.rectification import Rectifier
-from service.session.sequence import decide
+from service.session.sequence import _correction, decide
 from service.session.state_machine import InsertionSession
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import models_of, stage
@@ -63,31 +63,56 @@ def test_frames_without_a_speed_or_without_a_touch_are_refused_by_name(attempt):
         decide(models_of(released_models()), pairs[:6], **stated)
 
 
-@pytest.mark.parametrize(
-    ("order", "stands_at", "depth_mm"), [("slip", 5, 1.2), ("enough", 5, 1.2), ("watching", 9, 2.8)]
-)
-def test_the_arm_is_stated_to_have_gone_as_far_as_its_speed_took_it_and_to_stand_where_it_was_ordered(
-    monkeypatch, order, stands_at, depth_mm
+class Scripted:
+    """Stands in for a session that arms with the second pair and orders a stop with the fifth; keeps what it hears."""
+
+    def __init__(self, ends_with=None):
+        self.heard, self.pairs_n, self.ends_with = [], 0, ends_with
+
+    def handle(self, message, now_ns):
+        self.heard.append((message.type, now_ns, message))
+        return []
+
+    def on_pair(self, _pair, now_ns):
+        self.pairs_n += 1
+        self.heard.append(("pair", now_ns, None))
+        kind = {2: "armed", 5: self.ends_with}.get(self.pairs_n)
+        return [SimpleNamespace(type=kind)] if kind else []
+
+    def on_tick(self, now_ns):
+        self.heard.append(("tick", now_ns, None))
+        return [wire.NoDecision(insertion_id="x", attempt=1, reason="no_motion", detail="nothing moved")]
+
+
+PERIOD_NS = 33_000_000
+PAIRS = [SimpleNamespace(captured_ns=10**10 + number * PERIOD_NS) for number in range(8)]
+
+
+@pytest.mark.parametrize(("order", "last"), [(None, 7), ("slip", 4), ("enough", 4)])
+@pytest.mark.parametrize("speed_mm_s", [8.0, None])
+def test_a_sequence_is_told_as_an_attempt_that_descends_from_its_reference_and_stops_where_it_is_ordered(
+    monkeypatch, order, last, speed_mm_s
 ):
-    """Pairs 0.1 s apart; the session arms with the third one and gives its order with the sixth; 4 mm/s."""
-    sent, ticked_ns = [], []
+    session = Scripted(order)
+    monkeypatch.setattr("service.session.sequence.make_session", lambda _: session)
+    with pytest.raises(Refusal, match="nothing moved") as refused:
+        decide(None, PAIRS, 56.0, speed_mm_s=speed_mm_s, grip_n=30.0)
+    assert refused.value.reason == "no_motion"
+    messages = {kind: (message, now_ns) for kind, now_ns, message in session.heard if message is not None}
+    kinds = [kind for kind, *_ in session.heard]
+    assert [kind for kind in kinds if kind != "pair"] == ["hello", "arm", "descending", "stopped", "tick"]
+    assert (session.pairs_n, kinds.index("descending"), kinds.index("stopped")) == (8, 4, 4 + last)
+    assert (messages["arm"][0].gap_width_mm, messages["arm"][0].grip_n) == (56.0, 30.0)
+    assert messages["descending"][0].speed_mm_s == speed_mm_s
+    stop, stopped_ns = messages["stopped"]
+    assert (stopped_ns, stop.outcome) == (PAIRS[last].captured_ns, "blocked")
+    assert stop.depth_mm == pytest.approx((speed_mm_s or 0.0) * (last - 1) * PERIOD_NS * 1e-9)
+    assert session.heard[-1][1] >= PAIRS[-1].captured_ns + 20 * 10**9, "beyond every deadline"
 
-    def on_pair(pair, _now_ns):
-        return [SimpleNamespace(type={2: "armed", 5: order}.get(pair, "watching"))]
 
-    class Pair(int):
-        captured_ns = property(lambda self: 10**10 + self * 10**8)
-
-    session = SimpleNamespace(
-        handle=lambda message, now_ns: sent.append((message, now_ns)) or [],
-        on_pair=on_pair,
-        on_tick=lambda now_ns: ticked_ns.append(now_ns) or [],
-    )
-    monkeypatch.setattr("service.session.sequence.make_session", lambda _models: session)
-    with pytest.raises(Refusal, match="expected pairs from rest to the stop"):
-        decide(None, [Pair(index) for index in range(10)], 56.0, speed_mm_s=4.0)
-    assert [message.type for message, _ in sent] == ["hello", "arm", "descending", "stopped"]
-    (descending, began_ns), (stopped, stopped_ns) = sent[2:]
-    assert (descending.speed_mm_s, began_ns, stopped_ns) == (4.0, Pair(2).captured_ns, Pair(stands_at).captured_ns)
-    assert (stopped.depth_mm, stopped.outcome) == (pytest.approx(depth_mm), "blocked")
-    assert ticked_ns[0] - Pair(9).captured_ns > 30 * 10**9
+def test_a_sequence_that_is_refused_or_no_attempt_says_so():
+    refused = wire.Refused(insertion_id="x", attempt=1, reason="nothing_held", detail="both gels look untouched")
+    with pytest.raises(Refusal, match="nothing_held: both gels look untouched"):
+        _correction([SimpleNamespace(type="hello"), refused])
+    with pytest.raises(Refusal, match="no attempt"):
+        _correction([SimpleNamespace(type="hello")])

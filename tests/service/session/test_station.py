@@ -5,22 +5,32 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from service.cameras.capture import CameraError, CameraFrame
 from service.contract import ContractError, TactileFrame
-from service.decision.models import load_models
-from service.session.station import TICK_S, Station
+from service.decision.models import ModelSet, load_models
+from service.decision.work import Work
+from service.session.manager import InsertionManager
+from service.session.station import TICK_S, Station, open_station
 from service.settings import Settings
+from service.versions.versions import Versions
+from tests.service import drawn
+
+
+@pytest.fixture(scope="module")
+def models(models_folder: Path) -> ModelSet:
+    return load_models(models_folder)
 
 
 @pytest.fixture
-def idle(tmp_path: Path, models_folder: Path) -> Iterator[Station]:
+def idle(tmp_path: Path, models: ModelSet) -> Iterator[Station]:
     """A station whose threads were never started: the test is its perception thread."""
-    settings = Settings(models=models_folder, camera_left="push:", camera_right="push:", recordings=tmp_path)
-    station = Station(settings, load_models(models_folder), None)
+    settings = Settings(models=tmp_path, camera_left="push:", camera_right="push:", recordings=tmp_path)
+    station = Station(settings, models, None)
     yield station
     station._networks.shutdown()
 
@@ -140,16 +150,134 @@ def test_frames_that_wait_while_their_insertion_ends_go_to_no_other_and_are_no_e
     assert not idle._frames
 
 
-def test_what_the_networks_found_is_heard_of_in_the_perception_thread_alone(
+@pytest.mark.parametrize(("asked_hz", "rate_hz"), [(None, 30.0), (90.0, 90.0)])
+def test_cameras_are_asked_for_the_rate_that_is_set_or_else_the_sensors(
+    tmp_path: Path, models: ModelSet, monkeypatch: pytest.MonkeyPatch, asked_hz: float | None, rate_hz: float
+) -> None:
+    asked: list[tuple[str, float]] = []
+    monkeypatch.setattr(
+        "service.session.station.open_source",
+        lambda url, *, frame_rate_hz: asked.append((url, frame_rate_hz)) or SimpleNamespace(name=url),
+    )
+    settings = Settings(
+        models=tmp_path, camera_left="push:a", camera_right="push:b", recordings=tmp_path, frame_rate_hz=asked_hz
+    )
+    Station(settings, models, None)._networks.shutdown()
+    assert (models.card.profile.fps, asked) == (30.0, [("push:a", rate_hz), ("push:b", rate_hz)])
+
+
+def test_cameras_that_show_nothing_are_waited_for_in_vain_and_others_warm_the_service_up(
     idle: Station, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    heard: list[object] = []
-    monkeypatch.setattr(idle.manager, "active", SimpleNamespace(result=heard.append))
+    rehearsed: list[list[str]] = []
+    monkeypatch.setattr(
+        "service.session.station.warm_up", lambda _, frames: rehearsed.append([frame.finger for frame in frames])
+    )
+    clock_s = itertools.count(0.0, 0.5)
+    monkeypatch.setattr("service.session.station.now_ns", lambda: round(next(clock_s) * 1e9))
+    idle.wait_for_cameras(2.0)
+    assert (rehearsed, next(clock_s)) == ([], 3.0)
+    big = np.zeros((320, 327, 3), np.uint8)
+    for finger, camera in idle.cameras.items():
+        camera.latest = CameraFrame(TactileFrame(finger, 0, 0, big), None)
+    idle.wait_for_cameras(2.0)
+    assert rehearsed == [["left", "right"]]
+    idle.cameras["right"].latest = CameraFrame(TactileFrame("right", 0, 0, big[:2, :2]), None)
+    with pytest.raises(CameraError, match="right camera delivers 2 x 2 frames"):
+        idle.wait_for_cameras(2.0)
+
+
+def test_with_a_calibration_a_camera_may_be_raw_or_rectified(idle: Station) -> None:
+    idle.manager.calibration = drawn.calibration()
+    for width_px in (327, 427):
+        idle._check_size("left", (320, width_px, 3))
+    with pytest.raises(CameraError, match="expected 327 x 320 or 427 x 320; set the camera to it"):
+        idle._check_size("left", (480, 640, 3))
+
+
+def test_a_cameras_fault_is_shown_and_told_to_the_insertion(idle: Station, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown, heard = [], []
+    monkeypatch.setattr(idle.hub, "publish", lambda kind, content: shown.append((kind, content)))
+    monkeypatch.setattr(InsertionManager, "fault", lambda _, code, detail: heard.append((code, detail)))
     idle._ticked_ns = time.monotonic_ns() + 10**12
-    for result in (None, "the first", "the second"):
-        idle._submit(SimpleNamespace(run=lambda result=result: result))  # type: ignore[arg-type]
-    idle._networks.submit(int).result()
-    assert heard == [], "another thread's"
+    idle._on_camera_fault("left", "camera_lost", "gone")
     idle._inbox.put(None)
     idle._run()
-    assert heard == ["the first", "the second"]
+    assert shown == [("camera_fault", {"finger": "left", "code": "camera_lost", "detail": "gone"})]
+    assert heard == [("camera_lost", "gone")]
+
+
+def test_the_networks_answers_come_back_through_the_perception_thread_where_there_are_any(
+    idle: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard: list[Any] = []
+    monkeypatch.setattr(InsertionManager, "result", lambda _, result: heard.append(result))
+    idle._ticked_ns = time.monotonic_ns() + 10**12
+    for answer in (None, "evidence"):
+        idle._do(Work(1, lambda answer=answer: answer))  # type: ignore[misc, arg-type]
+    assert heard == []
+    idle._inbox.put(None)
+    idle._run()
+    assert heard == ["evidence"]
+
+
+def test_a_tick_looks_at_both_cameras_and_at_the_insertion(idle: Station, monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[Any] = []
+    monkeypatch.setattr("service.session.station.now_ns", lambda: 7 * 10**9)
+    monkeypatch.setattr(
+        "service.session.station.Camera.check_stall", lambda camera, at: looked.append((camera.finger, at))
+    )
+    monkeypatch.setattr(InsertionManager, "tick", lambda _, at_ns: looked.append(at_ns))
+    idle._tick()
+    assert looked == [("left", 7 * 10**9), ("right", 7 * 10**9), 7 * 10**9]
+
+
+def test_other_networks_are_taken_between_insertions_and_for_the_same_pictures_only(
+    idle: Station, models: ModelSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fresh = ModelSet(models.steps, models.models)
+    begun: list[ModelSet] = []
+    monkeypatch.setattr(idle.versions, "begin_anew", begun.append)
+    larger = models.card.frame.model_copy(update={"width_px": 400})
+    other: Any = SimpleNamespace(card=SimpleNamespace(frame=larger))
+    with pytest.raises(ContractError, match="new models expect"):
+        idle._swap(other)
+    monkeypatch.setattr(idle.manager, "active", object())
+    with pytest.raises(ContractError, match="under way"):
+        idle._swap(fresh)
+    assert (begun, idle.models) == ([], models)
+    monkeypatch.setattr(idle.manager, "active", None)
+    idle._swap(fresh)
+    assert begun == [fresh]
+    assert idle.models is fresh
+
+
+@pytest.mark.parametrize("shadow", [False, True])
+def test_a_station_makes_its_folder_and_gives_its_shadow_a_place(
+    tmp_path: Path, models_folder: Path, monkeypatch: pytest.MonkeyPatch, shadow: bool
+) -> None:
+    given: list[tuple[Path, bool]] = []
+    monkeypatch.setattr(Versions, "give", lambda _, folder, *, at_start: given.append((folder, at_start)))
+    settings = Settings(
+        models=models_folder,
+        camera_left="push:",
+        camera_right="push:",
+        recordings=tmp_path / "made" / "anew",
+        state=tmp_path,
+        shadow=tmp_path if shadow else None,
+    )
+    for _ in range(2):
+        open_station(settings)._networks.shutdown()
+    assert settings.recordings.is_dir()
+    assert given == [(tmp_path, True)] * 2 * shadow
+
+
+def test_a_calibration_for_other_networks_is_refused_with_both_sizes(tmp_path: Path, models_folder: Path) -> None:
+    calibration: Any = SimpleNamespace(left=SimpleNamespace(rectified=SimpleNamespace(shape=(240, 320, 3))))
+    settings = Settings(
+        models=models_folder, camera_left="push:", camera_right="push:", recordings=tmp_path, calibration=tmp_path / "c"
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("service.session.station.Calibration.load", lambda _: calibration)
+        with pytest.raises(ContractError, match=r"rectifies to \(320, 240\) .* expect \(327, 320\)"):
+            open_station(settings)

@@ -129,4 +129,4 @@ def test_absent_states_count_as_not_ready():
     message.header.seqno = 1
     codec._put_pose(message.feedBack.cartesian, Pose(0, 0, 0))
     state = codec.decode_robot(message.SerializeToString())
-    assert not state.moving_allowed
+    assert state.unfit

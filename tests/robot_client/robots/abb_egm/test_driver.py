@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+import socket
 
 import pytest
 
@@ -94,5 +95,151 @@ def test_datagrams_of_another_host_are_named_as_such():
         with pytest.raises(DriverError, match=r"3 datagrams came, none from 192\.0\.2\.7"):
             await arm.start(lambda _event: None)
         await arm.close()
+
+    asyncio.run(story())
+
+
+class Line:
+    """A socket on which these datagrams wait; keeps the answers whole."""
+
+    def __init__(self, *waiting):
+        self.waiting, self.answers = list(waiting), []
+
+    def recvfrom(self, most_bytes):
+        if not self.waiting:
+            raise BlockingIOError
+        datagram, address = self.waiting.pop(0)
+        return datagram[:most_bytes], address
+
+    def sendto(self, datagram, address):
+        self.answers.append((codec.decode_guidance(datagram), address))
+
+
+ROBOT, OTHER = ("192.0.2.7", 6511), ("192.0.2.8", 6511)
+UPRIGHT = codec.Pose(5.0, 0.0, 60.0, 0.0, 1.0, 0.0, 0.0)
+
+
+def datagram(number, padding=b""):
+    return codec.encode_robot(codec.RobotState(number, 4 * number, UPRIGHT)) + padding
+
+
+def listening(*waiting, **settings):
+    arm = EgmArm(Settings(**settings), Limits(), Ramps())
+    arm._socket, arm._post = Line(*waiting), lambda _event: None
+    return arm
+
+
+def test_of_the_datagrams_that_wait_the_newest_is_answered_with_numbers_that_go_up(monkeypatch):
+    monkeypatch.setattr("robot_client.robots.abb_egm.driver.time.monotonic_ns", lambda: 1_234_567_890_123_456)
+    arm = listening(*((datagram(number), ROBOT) for number in range(3)))
+    arm._on_readable()
+    arm._socket.waiting = [(datagram(number), ROBOT) for number in (3, 4)]
+    arm._on_readable()
+    arm._on_readable()
+    assert [answer.sequence for answer, _ in arm._socket.answers] == [1, 2]
+    assert {address for _, address in arm._socket.answers} == {ROBOT}
+    assert {answer.time_ms for answer, _ in arm._socket.answers} == {1_234_567_890 % 2**32}
+    assert arm.statistics()["datagrams"] == 5
+    assert arm.statistics()["repeated"] == 0, "the others were passed over, not refused"
+
+
+@pytest.mark.parametrize("robot_host", [None, "192.0.2.7"])
+def test_only_the_first_robot_or_the_configured_one_is_answered(robot_host):
+    mixed = [(datagram(1), ROBOT), (datagram(2), OTHER), (datagram(3), (ROBOT[0], 9)), (datagram(4), ROBOT)]
+    arm = listening(*mixed, robot_host=robot_host)
+    arm._on_readable()
+    counts = arm.statistics()
+    assert (counts["datagrams"], counts["foreign_datagrams"]) == (2, 2)
+    assert [address for _, address in arm._socket.answers] == [ROBOT]
+
+
+def test_a_datagram_that_is_too_long_is_not_taken_for_its_own_beginning():
+    """A field that nobody knows fills it up to a byte more than is allowed; cut anywhere, it would be a good one."""
+    base = datagram(1)
+    longest = codec.MAX_DATAGRAM_BYTES - len(base)
+    for extra, bad_n in ((0, 0), (2, 1)):
+        arm = listening((datagram(1, b"\x78\x00" * ((longest + extra) // 2)), ROBOT))
+        arm._on_readable()
+        assert arm.statistics()["bad_datagrams"] == bad_n
+
+
+def test_a_sender_without_end_does_not_keep_the_others_waiting():
+    arm = listening(*((datagram(number), ROBOT) for number in range(1000)))
+    arm._on_readable()
+    assert 0 < arm.statistics()["datagrams"] < 100
+
+
+def test_an_arm_that_was_never_started_knows_nothing_moves_nothing_and_closes():
+    async def story():
+        arm = EgmArm(Settings(), Limits(), Ramps())
+        assert (arm.position(), arm.target(), arm.signals()) == (None, None, None)
+        assert set(arm.statistics().values()) == {0}
+        arm.renew(1.0)
+        arm.hold("too early", stop=False)
+        with pytest.raises(LimitError, match="not started"):
+            arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=65.0, yaw_deg=0.0), "travel")
+        assert list(arm.checks()) == ["guidance"]
+        assert await arm.close() == "no program was started"
+
+    asyncio.run(story())
+
+
+def test_the_port_to_listen_on_is_free_or_named():
+    async def story():
+        arm = EgmArm(Settings(bind="127.0.0.1", port=0), Limits(), Ramps())
+        (finding,) = await arm.checks()["guidance"]()
+        assert (finding.good, "UDP 127.0.0.1:0 is free" in finding.text) == (True, True)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            other.bind(("127.0.0.1", 0))
+            arm.settings = Settings(bind="127.0.0.1", port=other.getsockname()[1])
+            with pytest.raises(DriverError, match="cannot listen on UDP 127"):
+                await arm.checks()["guidance"]()
+
+    asyncio.run(story())
+
+
+def test_an_order_to_stop_latches_the_arm_with_its_first_reason_and_a_hold_does_not():
+    arm = listening((datagram(1), ROBOT))
+    arm._on_readable()
+    up = WorkPose(x_mm=5.0, y_mm=0.0, z_mm=65.0, yaw_deg=0.0)
+    arm.hold("slip", stop=False)
+    arm.move(up, "travel")
+    for reason in ("operator: stop", "again"):
+        arm.hold(reason, stop=True)
+        with pytest.raises(LimitError, match="takes no motion: operator: stop"):
+            arm.move(up, "travel")
+    assert [answer.sequence for answer, _ in arm._socket.answers] == [1, 2, 3, 4], "each hold is sent at once"
+
+
+@pytest.mark.parametrize(("came", "why"), [([], "no datagram came: check"), ([b"x"], "does not parse")])
+def test_why_an_arm_does_not_get_ready_is_told(came, why):
+    async def story():
+        settings = Settings(bind="127.0.0.1", port=0, ready_timeout_s=0.05)
+        arm = EgmArm(settings, Limits(), Ramps())
+        arm._foreign, arm._watch.datagrams = 2 * len(came), len(came)
+        for one in came:
+            arm._on_datagram(one, 0.0)
+        with pytest.raises(DriverError, match=rf"EGM not ready on UDP port \d+ in 0.05 s: .*{why}"):
+            await arm.start(lambda _event: None)
+        assert await arm.close() == "no program was started"
+
+    asyncio.run(story())
+
+
+def test_a_robot_named_in_the_settings_is_the_one_that_is_guided_whatever_the_address_of_its_services(monkeypatch):
+    def unknown(_name):
+        raise OSError
+
+    async def story():
+        for url, named, guided in (
+            ("http://127.0.0.1:8", "192.0.2.7", "192.0.2.7"),
+            ("http://127.0.0.1:8", None, "127.0.0.1"),
+            ("http://no-such-robot", None, None),
+        ):
+            if "no-such" in url:
+                monkeypatch.setattr("robot_client.robots.abb_egm.driver.socket.gethostbyname", unknown)
+            arm = load_settings(None, {"robot": {"robot_host": named, "rws": {"url": url}}}).make_arm()
+            assert arm.settings.robot_host == guided
+            await arm.rws._client.aclose()
 
     asyncio.run(story())

@@ -259,3 +259,14 @@ def test_while_an_arm_is_closed_it_takes_no_motion_and_the_end_of_its_stream_is_
         assert cell.events == []
 
     asyncio.run(run())
+
+
+def test_the_stream_is_looked_at_four_times_within_the_silence_that_is_allowed():
+    def story(cell):
+        cell.cycles(1)
+        cell.arm._timer.cancel()
+        loop = asyncio.get_running_loop()
+        cell.arm._watchdog()
+        assert cell.arm._timer.when() - loop.time() == pytest.approx(0.25 / 4, abs=0.02)
+
+    played(story)

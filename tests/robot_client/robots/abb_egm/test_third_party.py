@@ -98,7 +98,7 @@ def test_what_abbrobotegm_knows_of_robotware_7_is_read_and_a_collision_ends_guid
     done = subprocess.run([sys.executable, "-c", ROBOTWARE_7], check=True, capture_output=True)
     state = decode_robot(done.stdout)
     assert (state.sequence, state.feedback, state.collided) == (7, Pose(1.0, 2.0, 3.0), True)
-    assert not state.moving_allowed
+    assert state.unfit
     read = pb.EgmRobot.FromString(done.stdout)
     assert (read.feedBack.timeStamp.nsec, list(read.RAPIDfromRobot.dnum)) == (345, [0.5])
     assert read.SerializeToString() == done.stdout

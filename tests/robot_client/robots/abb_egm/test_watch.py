@@ -1,6 +1,8 @@
 """The stream's health: order, repetition, age, readiness."""
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from robot_client.insertion.geometry import Pose
 from robot_client.robots.abb_egm.codec import RobotState
@@ -93,3 +95,76 @@ def test_what_the_stream_was_like_is_counted():
     assert (w.bad_datagrams, w.gaps, w.repeated) == (2, 2, 0)
     assert w.worst_gap_s == pytest.approx(0.1)
     assert w.not_ready == "no datagram"
+
+
+CLOCK = st.integers(0, 2**32 - 1)
+ANY_STEP = st.integers(-(2**31), 2**31 - 1)
+
+
+@given(CLOCK, ANY_STEP)
+@example(0, 1)
+@example(7, 2**31 - 1)
+@example(7, -(2**31))
+def test_a_datagram_is_newer_if_it_is_less_than_half_a_round_ahead(sequence, ahead):
+    w = watch()
+    w.take(state(sequence, 0), 0.0)
+    taken = w.take(state((sequence + ahead) % 2**32, 4), 0.004)
+    assert (taken is not None) == (ahead > 0)
+    assert w.repeated == (ahead <= 0)
+
+
+@given(CLOCK, ANY_STEP)
+@example(0, 2**31 - 1)
+@example(0, -(2**31))
+@example(5, 1)
+def test_time_goes_on_by_what_the_robots_clock_says_however_often_it_has_wrapped_and_never_back(time_ms, step_ms):
+    w = watch()
+    assert w.take(state(1, time_ms), 0.0) == 0.0
+    assert w.take(state(2, (time_ms + step_ms) % 2**32), 0.004) == pytest.approx(max(0, step_ms) / 1000.0)
+
+
+def test_a_stream_that_nobody_has_heard_counts_nothing():
+    assert set(watch().statistics().values()) == {0}
+
+
+@pytest.mark.parametrize(("gap_s", "gaps"), [(0.013, 0), (0.015, 1)])
+def test_three_cycles_may_pass_between_datagrams_before_that_is_a_gap(gap_s, gaps):
+    w = watch()
+    for number, now_s in enumerate((0.0, 0.004, 0.004 + gap_s)):
+        w.take(state(number, round(1e3 * now_s)), now_s)
+    assert w.statistics()["gaps"] == gaps
+    assert w.statistics()["worst_gap_ms"] == pytest.approx(1e3 * gap_s * gaps)
+
+
+def test_the_worst_times_are_told_in_tenths_of_a_millisecond():
+    w = watch()
+    for number, now_s in enumerate((0.0, 0.10026)):
+        w.take(state(number, 4 * number), now_s)
+    assert (w.statistics()["worst_gap_ms"], w.statistics()["worst_age_ms"]) == (100.3, 96.3)
+
+
+def test_a_stream_that_falls_behind_a_little_at_a_time_is_late_in_the_end():
+    """By a hundredth of the time, which no quartz clock does: 0.25 s after half a minute."""
+    w = watch()
+    for i in range(20):
+        w.take(state(i, 1000 * i), 1.01 * i)
+        w.check(state(i, 1000 * i))
+    for i in range(20, 40):
+        w.take(state(i, 1000 * i), 1.01 * i)
+    with pytest.raises(StreamFault, match="late"):
+        w.check(state(40, 0))
+
+
+@pytest.mark.parametrize(("unreadable_n", "why"), [(24, "silent or frozen"), (25, "only unreadable ones came")])
+def test_why_no_datagram_counts_is_told_by_what_came_since_the_last_good_one(unreadable_n, why):
+    w = watch()
+    for _ in range(30):
+        w.bad("noise")
+    w.take(state(1, 4), 0.0)
+    for _ in range(unreadable_n):
+        w.bad("noise")
+    for now_s in (0.1, 0.2, 0.25):
+        w.check_silence(now_s)
+    with pytest.raises(StreamFault, match=f"no new datagram for 260 ms: .*{why}"):
+        w.check_silence(0.26)
+    assert w.bad_datagrams == 30 + unreadable_n

@@ -98,3 +98,19 @@ def test_a_move_is_written_as_the_modules_read_it():
         codec.encode_move(3, WirePose(0, 0, 0), 999.1)
     with pytest.raises(RapidTextError, match="holds 80"):
         codec.encode_move(99999, WirePose(-1234567890.0, -1234567890.0, -1234567890.0, -0.5, 0.5, -0.5, 0.5), 999.0)
+
+
+def test_a_text_may_fill_a_rapid_string_to_its_last_character():
+    """80 characters: of a request, of an answer, and of one that is cut anywhere."""
+    wide = WirePose(-12345.0, -12345.0, -123456.0, -0.5, -0.5, -0.5, -0.5)
+    assert len(codec.encode_move(12345, wide, 99.0)) == 80
+    for text in ("D" * 80, "D" * 79):
+        parser = TextParser()
+        assert parser.feed(text.encode()) == []
+        assert parser.feed(b"#") == [text]
+    with pytest.raises(RapidTextError, match="holds 80"):
+        codec.encode_move(123456, wide, 99.0)
+
+
+def test_a_move_may_be_slower_than_a_tenth_of_a_millimetre_per_second():
+    assert codec.encode_move(1, WirePose(0, 0, 0), 0.09).endswith(b" 0.1#")

@@ -1,5 +1,6 @@
 """Two sockets to one robot: a message on one may arrive after a later message on the other."""
 
+import asyncio
 import math
 
 import pytest
@@ -186,4 +187,83 @@ def test_legs_and_speeds_beyond_the_limits_are_refused(clock):
     arm.ramps = Ramps(descend=Ramp(speed_mm_s=15.5, acceleration_mm_s2=100.0, jerk_mm_s3=1000.0))
     with pytest.raises(LimitError, match=r"descend speed mm/s = 15.5, allowed up to 15"):
         arm.move(low, "descend", 1e9)
+    assert arm._guard.sent == []
+
+
+def test_an_order_to_stop_latches_the_arm_with_its_first_reason_and_a_hold_does_not(clock):
+    arm, _ = guided()
+    up = WorkPose(x_mm=5.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0)
+    arm.hold("slip", stop=False)
+    arm.move(up, "travel")
+    for reason in ("operator: stop", "again"):
+        arm.hold(reason, stop=True)
+        with pytest.raises(LimitError, match="takes no motion: operator: stop"):
+            arm.move(up, "travel")
+    assert [text[0] for text in arm._guard.sent] == ["S", "R", "S", "S"]
+
+
+def test_only_the_first_of_several_failures_is_reported_and_no_arrival_after_it(clock):
+    arm, events = guided()
+    arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0), "travel")
+    guard_says(arm, 1, stopped=False)
+    arm._on_motion("D 1")
+    arm._fail("silent", "no answer")
+    arm._fail("link", "and then gone")
+    guard_says(arm, 2, stopped=False)
+    assert [event.code for event in events] == ["silent"]
+
+
+def test_a_standstill_is_waited_for_anew_after_each_hold_and_said_once(clock):
+    arm, events = guided()
+    for _ in range(2):
+        arm.hold("slip", stop=False)
+        guard_says(arm, 2, stopped=True)
+        clock.now_s += 0.1
+        guard_says(arm, 2, stopped=False)
+        clock.now_s += 0.06
+        guard_says(arm, 2, stopped=False)
+        assert events == [], "the guard's flag is not up yet"
+        guard_says(arm, 2, stopped=True)
+        clock.now_s += 0.5
+        guard_says(arm, 2, stopped=True)
+        assert [type(event) for event in events] == [Standstill]
+        guard_says(arm, 2, stopped=True)
+        assert len(events) == 1
+        events.clear()
+        clock.now_s += 5.0
+
+
+def test_an_arm_that_was_never_started_knows_nothing_moves_nothing_and_closes():
+    async def story():
+        arm = SocketArm(Settings(), Limits(), Ramps())
+        assert (arm.position(), arm.target(), arm.signals(), arm.statistics()) == (
+            None,
+            None,
+            None,
+            {"guard_answers": 0},
+        )
+        with pytest.raises(LimitError, match="not started"):
+            arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0), "travel")
+        (finding,) = await arm.checks()["guidance"]()
+        assert list(arm.checks()) == ["guidance"]
+        assert (finding.good, "192.168.125.1:5010 and :5011" in finding.text) == (True, True)
+        assert await arm.close() == "guard stopped the arm; no program was started"
+
+    asyncio.run(story())
+
+
+def test_what_the_guard_says_counts_and_what_is_no_answer_of_its_does_not(clock):
+    arm, events = guided()
+    before = arm.position()
+    for text in ("P 1 5.00 0.00 nonsense", "P 1 5.00 0.00 41.00 0 0.5 0 0 0 0", "?"):
+        arm._on_guard(text)
+    assert (arm.position(), arm.statistics(), events) == (before, {"guard_answers": 1}, [])
+    guard_says(arm, 2, stopped=False)
+    assert arm.statistics() == {"guard_answers": 2}
+
+
+def test_a_guard_that_hangs_up_is_asked_nothing_any_more(clock):
+    arm, _ = guided()
+    arm._guard.is_closing = lambda: True
+    arm.hold("slip", stop=False)
     assert arm._guard.sent == []

@@ -1,6 +1,7 @@
 """The backup stop ends in words, whatever the controller answers."""
 
 import asyncio
+import time
 
 import httpx
 import pytest
@@ -100,21 +101,122 @@ def test_a_stop_that_was_refused_is_asked_for_again_until_the_controller_reports
     assert asked == ["stop"] * (refused_n + 1)
 
 
-def test_an_exchange_that_never_ends_is_given_up():
-    """As of a controller that sends its answer byte by byte, each of them in time."""
+def asked(call, state=None, answer=None, **settings):
+    """Result of a call on a controller of RobotWare 6 in this state, or the reason for which there is none."""
+    panel = {"opmode": "AUTO", "ctrlstate": "motoron", "ctrlexecstate": "stopped", "speedratio": "100"} | (state or {})
 
-    async def answer(_request):
-        await asyncio.Event().wait()
+    def usual(_request):
+        return httpx.Response(200, json={"_embedded": {"_state": [panel]}})
 
     async def story():
-        client = RwsClient(RwsSettings(request_timeout_s=0.01))
+        client = RwsClient(RwsSettings(**{"poll_s": 0.01} | settings))
         await client._client.aclose()
         client._generation = RWS1
-        client._client = httpx.AsyncClient(transport=httpx.MockTransport(answer), base_url="http://127.0.0.1")
+        client._client = httpx.AsyncClient(transport=httpx.MockTransport(answer or usual), base_url="http://127.0.0.1")
         try:
-            with pytest.raises(RwsError, match="GET /rw/panel/opmode: TimeoutError"):
-                await asyncio.wait_for(client.status(), 5.0)
+            return await call(client)
+        except RwsError as error:
+            return str(error)
         finally:
             await client._client.aclose()
 
-    asyncio.run(story())
+    return asyncio.run(story())
+
+
+@pytest.mark.parametrize(
+    ("state", "switch", "good"),
+    [
+        ({}, True, [True, True, True, True, True]),
+        ({"opmode": "MANR"}, True, [True, False, True, True, True]),
+        ({"ctrlstate": "motoroff"}, True, [True, True, True, True, True]),
+        ({"ctrlstate": "motoroff"}, False, [True, True, False, True, True]),
+        ({"ctrlstate": "motoron"}, False, [True, True, True, True, True]),
+        ({"ctrlstate": "guardstop"}, True, [True, True, False, True, True]),
+        ({"ctrlexecstate": "running"}, True, [True, True, True, False, True]),
+    ],
+)
+def test_what_keeps_a_program_from_being_started_is_found_before_it_is(state, switch, good):
+    """Mode, motors and program of the controller; its kind and its speed are only told."""
+    findings = asked(RwsClient.findings, state, switch_motors_on=switch)
+    assert [finding.good for finding in findings] == good
+    assert findings[4].text == "speed ratio 100 %"
+    if switch:
+        refused, _, started = start_of(state)
+        assert started == (not refused) == all(good)
+
+
+@pytest.mark.parametrize(("value", "on"), [("0", False), ("0.0", False), ("0.1", True), ("1", True)])
+def test_a_signal_is_on_unless_it_is_nought(value, on):
+    assert asked(lambda client: client.read_signal("di"), {"lvalue": value}) is on
+
+
+def test_an_answer_without_the_state_that_was_asked_for_is_named():
+    for body in ({}, {"_embedded": {"_state": []}}, {"_embedded": {"_state": [{}]}}, []):
+        reason = asked(RwsClient.execution, answer=lambda _request, body=body: httpx.Response(200, json=body))
+        assert reason.startswith("GET /rw/rapid/execution: answer without ctrlexecstate")
+
+
+def test_a_refusal_is_told_in_the_controllers_words_where_it_has_some():
+    refused = {"_embedded": {"status": {"code": -5, "msg": "not in auto"}}}
+    for body, words in ((refused, "HTTP 403: not in auto"), ({"_embedded": {"status": {"code": -5}}}, "HTTP 403: -5")):
+        assert asked(RwsClient.execution, answer=lambda _r, body=body: httpx.Response(403, json=body)).endswith(words)
+    assert asked(RwsClient.execution, answer=lambda _r: httpx.Response(403, text="no")).endswith("HTTP 403")
+
+
+@pytest.mark.parametrize(("state", "key"), [({"ctrlstate": "motoroff"}, "ctrlstate"), ({}, "ctrlexecstate")])
+def test_a_controller_that_does_not_follow_an_order_is_given_up_once_its_time_is_over(state, key):
+    begun_s = time.monotonic()
+    timeouts = {"motors_timeout_s": 0.05, "start_timeout_s": 0.05}
+    reason = asked(RwsClient.start_program, state, **timeouts)
+    assert reason.startswith(f"{key} is ")
+    assert "after 0.05 s, expected" in reason
+    assert time.monotonic() - begun_s >= 0.05
+
+
+@pytest.mark.parametrize(("took_s", "given_up"), [(1.8, False), (2.2, True)])
+def test_an_exchange_may_take_twice_the_time_of_one_request(took_s, given_up, monkeypatch):
+    """As with digest access, where a refusal comes first. On a clock that runs as the test says."""
+
+    async def on_time(work, most_s):
+        if most_s < took_s * 0.1:
+            work.close()
+            raise TimeoutError
+        return await work
+
+    monkeypatch.setattr("robot_client.robots.abb_rws.client.asyncio.wait_for", on_time)
+    answer = asked(RwsClient.execution, request_timeout_s=0.1)
+    assert (answer == "stopped") == (not given_up)
+
+
+def test_only_a_lost_connection_over_http_is_answered_with_the_other_generations_address():
+    def lost(_request):
+        raise httpx.ConnectError("refused")
+
+    def slow(_request):
+        raise httpx.ReadTimeout("slow")
+
+    advice = "RobotWare 7 (OmniCore) is reached by https://"
+    assert advice in asked(RwsClient.execution, answer=lost)
+    assert advice not in asked(RwsClient.execution, answer=lost, url="https://192.168.125.1")
+    assert advice not in asked(RwsClient.execution, answer=slow)
+
+
+def test_a_session_that_was_never_opened_is_not_closed_and_one_that_was_is_given_back():
+    paths = []
+
+    def answer(request):
+        paths.append(request.url.path)
+        return httpx.Response(200)
+
+    async def story(generation):
+        client = RwsClient(RwsSettings())
+        await client._client.aclose()
+        client._generation = generation
+        client._client = httpx.AsyncClient(transport=httpx.MockTransport(answer), base_url="http://127.0.0.1")
+        await client.close()
+        assert client._client.is_closed
+
+    asyncio.run(story(None))
+    assert paths == []
+    asyncio.run(story(RWS1))
+    assert paths == ["/logout"]

@@ -166,7 +166,8 @@ def test_the_password_never_goes_out_readable():
     with pytest.raises(RwsError, match=r"in the clear; set robot.rws.url to https://192.168.125.1"):
         credentials('Basic realm="r"', "http://192.168.125.1", "user", "password")
     assert isinstance(credentials('Basic realm="r"', "https://192.168.125.1", "user", "password"), httpx.BasicAuth)
-    assert isinstance(credentials('Digest realm="r"', "https://192.168.125.1", "user", "password"), httpx.DigestAuth)
+    assert isinstance(credentials('Basic realm="r"', "http://127.0.0.1:8", "user", "password"), httpx.BasicAuth)
+    assert isinstance(credentials('DIGEST realm="r"', "http://192.168.125.1", "user", "password"), httpx.DigestAuth)
 
 
 def test_a_certificate_that_cannot_be_read_is_refused_by_the_settings(tmp_path):

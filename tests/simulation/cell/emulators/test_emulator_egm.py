@@ -78,7 +78,7 @@ def test_the_robot_speaks_first_at_250_hz_and_fills_its_state(up):
     first = guide.state()
     states = [guide.state() for _ in range(100)]
     assert states[-1].sequence == first.sequence + 100
-    assert first.moving_allowed
+    assert not first.unfit
     assert len(first.joints_deg) == 6
     assert first.feedback.x_mm == pytest.approx(8.0, abs=1e-6)
     lost_ms = cell.cell.egm.counters.lost_cycles * 1000 * CYCLE_S
@@ -159,7 +159,7 @@ def test_a_safety_stop_ends_motion_and_says_so_before_the_stream_ends(up, fault,
     with pytest.raises(TimeoutError):
         forever(lambda: states.append(guide.state()))
     guide.sock.settimeout(20.0)
-    assert not states[-1].moving_allowed
+    assert states[-1].unfit
     assert not states[-1].motors_on
     assert cell.cell.cabinet.arm.at_rest
 

@@ -1,0 +1,271 @@
+"""What is kept and told of insertions as they open, end or cannot be recorded. No camera has shown anything yet."""
+
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from service.contract import FINGERS, wire
+from service.decision.models import ModelSet, load_models
+from service.observability.hub import Hub
+from service.session import manager as under_test
+from service.session.insertion import Insertion
+from service.session.manager import InsertionManager
+from service.settings import Settings
+from tests.service import drawn
+from tests.service.session.test_manager import Client, wait_for_recorders
+
+
+@pytest.fixture(scope="module")
+def models(models_folder: Path) -> ModelSet:
+    return load_models(models_folder)
+
+
+class Cell:
+    """A manager with its hub's events, and a client that drives."""
+
+    def __init__(self, folder: Path, models: ModelSet, **settings: Any) -> None:
+        usual = {"models": folder, "camera_left": "push:", "camera_right": "push:", "recordings": folder / "r"}
+        entry = wire.CameraEntry(finger="left", source="x", state="live", frame_rate_hz=30.0)
+        cameras: Any = {finger: SimpleNamespace(latest=None, entry=entry) for finger in FINGERS}
+        self.events: list[tuple[str, Any]] = []
+        hub = Hub()
+        hub.subscribe(lambda kind, content: self.events.append((kind, content)))
+        (folder / "r").mkdir(exist_ok=True)
+        self.manager = InsertionManager(Settings(**usual | settings), models, None, cameras, hub, lambda _: None)
+        self.client = Client(self.manager)
+
+    def ends(self, insertion_id: str, **hello: Any) -> Client:
+        """An insertion that is opened and aborted at once; its client."""
+        client = Client(self.manager)
+        self.manager.connect(wire.ClientHello(insertion_id=insertion_id, client="test", **hello), client.send)
+        self.manager.abort("operator", "done")
+        wait_for_recorders()
+        return client
+
+    @property
+    def kinds(self) -> list[str]:
+        return [kind for kind, _ in self.events]
+
+
+@pytest.fixture
+def cell(tmp_path: Path, models: ModelSet) -> Iterator[Cell]:
+    made = Cell(tmp_path, models)
+    yield made
+    made.manager.abort("operator", "test over")
+    wait_for_recorders()
+
+
+def test_while_nothing_is_under_way_nothing_is_disturbed_by_what_belongs_to_an_insertion(cell: Cell) -> None:
+    cell.manager.result(None)
+    cell.manager.fault("camera_lost", "left is gone")
+    cell.manager.tick(10**15)
+    cell.manager.abort("operator", "nothing to end")
+    cell.manager.disconnect(cell.client.send)
+    cell.manager.receive(wire.ClientHeartbeat(insertion_id="one", count=1), cell.client.send)
+    assert (cell.client.heard, cell.events, cell.manager.opened_n, cell.manager.unrecorded_n) == ([], [], 0, 0)
+    assert cell.manager.recording_problem == ""
+
+
+def test_what_belongs_to_an_insertion_reaches_it_and_only_its_own_clients_messages_do(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell.client.connect("one")
+    called: list[Any] = []
+    monkeypatch.setattr(Insertion, "result", lambda _, result: called.append(result))
+    monkeypatch.setattr(Insertion, "camera_fault", lambda _, code, detail: called.append((code, detail)))
+    cell.manager.result("result")
+    cell.manager.fault("camera_lost", "left is gone")
+    assert called == ["result", ("camera_lost", "left is gone")]
+    other = Client(cell.manager)
+    cell.manager.receive(wire.ClientHeartbeat(insertion_id="one", count=1), other.send)
+    assert other.heard == []
+    cell.manager.receive(wire.ClientHeartbeat(insertion_id="one", count=2), cell.client.send)
+    assert cell.client.heard[-1].type == "heartbeat"
+    cell.manager.active.received_ns = 0  # type: ignore[union-attr]
+    cell.manager.tick(round(cell.manager.settings.client_timeout_s * 1e9) - 1)
+    assert cell.manager.active is not None
+
+
+def test_the_last_insertions_are_remembered_for_a_client_that_missed_their_end(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(under_test, "REMEMBERED_N", 2)
+    for name in ("one", "two", "three"):
+        assert cell.ends(name).heard[-1].type == "finished"
+    late = Client(cell.manager)
+    assert [late.connect(name).insertion_id for name in ("three", "two")] == ["three", "two"]
+    assert [message.type for message in late.heard] == ["finished", "finished"]
+    cell.manager.receive(wire.ClientHeartbeat(insertion_id="three", count=4), late.send)
+    cell.manager.receive(wire.ClientHeartbeat(insertion_id="one", count=5), late.send)
+    cell.manager.receive(wire.Abort(insertion_id="three", cause="operator", reason="again"), late.send)
+    assert [message.type for message in late.heard[2:]] == ["heartbeat"]
+    assert late.connect("one").type == "hello", "forgotten"
+    assert cell.manager.opened_n == 4
+
+
+def test_a_client_of_another_protocol_opens_nothing(cell: Cell) -> None:
+    cell.manager.connect(wire.ClientHello(insertion_id="one", client="old", protocol=99), cell.client.send)
+    assert [message.type for message in cell.client.heard] == ["fault"]
+    assert cell.manager.active is None
+
+
+def test_an_insertion_ends_in_this_order_and_its_client_hears_it_once_it_is_all_on_disk(cell: Cell) -> None:
+    on_disk = []
+    cell.client.connect("one")
+    cell.manager.active.send = lambda message: on_disk.append((message.type, recorded(cell)))  # type: ignore[union-attr]
+    cell.manager.abort("operator", "done")
+    cell.manager.abort("operator", "once more")
+    wait_for_recorders()
+    assert on_disk == [("finished", True)]
+    assert [kind for kind in cell.kinds if kind in {"finished", "recorded"}] == ["finished", "recorded"]
+    (summary,) = (cell.manager.settings.recordings).glob("*/summary.json")
+    kept = json.loads(summary.read_text())
+    assert (kept["insertion_id"], kept["outcome"], kept["attempts"]) == ("one", "aborted", 0)
+
+
+def recorded(cell: Cell) -> bool:
+    return bool(list(cell.manager.settings.recordings.glob("*/insertion.mcap")))
+
+
+def test_an_insertion_that_cannot_be_recorded_is_made_all_the_same_counted_and_named(
+    cell: Cell, tmp_path: Path
+) -> None:
+    (tmp_path / "r").rmdir()
+    (tmp_path / "r").write_text("a file where the folder was")
+    assert cell.client.connect("one").type == "hello"
+    assert cell.manager.active is not None
+    assert cell.manager.active.session.recording is None
+    assert cell.manager.recording_problem.startswith(f"cannot record into {tmp_path / 'r'}: ")
+    assert (cell.manager.unrecorded_n, cell.kinds) == (1, ["error", "client", "message"])
+    cell.manager.abort("operator", "done")
+    wait_for_recorders()
+    (tmp_path / "r").unlink()
+    (tmp_path / "r").mkdir()
+    cell.client.connect("two")
+    assert cell.manager.active.session.recording is not None
+    assert cell.manager.recording_problem != "", "until one has been recorded completely"
+    cell.manager.abort("operator", "done")
+    wait_for_recorders()
+    assert (cell.manager.recording_problem, cell.manager.unrecorded_n) == ("", 1)
+
+
+def test_a_recording_that_broke_is_named_while_and_after_it_is_written(cell: Cell) -> None:
+    cell.client.connect("one")
+    recorder = cell.manager.active.recorder  # type: ignore[union-attr]
+    assert cell.manager.recording_problem == ""
+    recorder.error = "no space left"  # type: ignore[union-attr]
+    assert cell.manager.recording_problem == "no space left"
+    cell.manager.abort("operator", "done")
+    wait_for_recorders()
+    assert cell.manager.recording_problem.endswith(": no space left")
+    assert [content for kind, content in cell.events if kind == "error"] == [cell.manager.recording_problem]
+
+
+def test_recordings_may_fill_as_many_gigabytes_as_are_set(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(under_test, "make_room", lambda _root, most_bytes: asked.append(most_bytes) or 1 << 20)
+    cell.ends("one")
+    assert asked == [20_000_000_000]
+
+
+class OtherVersions:
+    """Versions as the manager sees them."""
+
+    def __init__(self, active: ModelSet) -> None:
+        self.active, self.learnt, self.asked = active, list[Any](), list[Any]()
+        self.fails = False
+
+    def beside(self, deciding: Any, *_: Any) -> Any:
+        self.asked.append(deciding)
+        return SimpleNamespace(active="a", decide=lambda _: {})
+
+    def learn(self, _beside: Any, finished: wire.Finished, *, fresh: bool) -> None:
+        if self.fails:
+            raise OSError("disk")
+        self.learnt.append((finished.insertion_id, fresh))
+
+
+def test_the_version_that_decides_now_begins_an_insertion_and_the_one_before_goes_on_with_its_own(
+    cell: Cell, models: ModelSet
+) -> None:
+    first, second = (ModelSet(models.steps, models.models) for _ in range(2))
+    versions = OtherVersions(first)
+    cell.manager.versions = versions  # type: ignore[assignment]
+    cell.ends("one")
+    versions.active = second
+    cell.ends("two", continues="one")
+    cell.ends("three")
+    assert [id(deciding) for deciding in versions.asked] == [id(first), id(first), id(second)]
+    assert versions.learnt == [("one", True), ("two", False), ("three", True)]
+    versions.fails = True
+    assert cell.ends("four").heard[-1].type == "finished"
+    assert ("error", "versions: disk") in cell.events
+
+
+def test_what_an_error_was_known_under_other_networks_does_not_count_for_the_next_insertion(
+    cell: Cell, models: ModelSet
+) -> None:
+    arm = wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+    cell.client.connect("one")
+    cell.manager.receive(arm, cell.client.send)
+    cell.manager.abort("afresh", "turned")
+    cell.manager.models = ModelSet(models.steps, models.models)
+    wait_for_recorders()
+    cell.manager.connect(wire.ClientHello(insertion_id="two", client="test", continues="one"), cell.client.send)
+    assert cell.manager.active is not None
+    assert cell.manager.active.session.decider is None
+    assert cell.manager.active.continues == "one"
+
+
+def test_insertions_without_a_recording_are_no_evidence_for_a_version(
+    cell: Cell, tmp_path: Path, models: ModelSet
+) -> None:
+    (tmp_path / "r").rmdir()
+    (tmp_path / "r").write_text("a file where the folder was")
+    versions = OtherVersions(models)
+    cell.manager.versions = versions  # type: ignore[assignment]
+    cell.ends("one")
+    assert (versions.asked, versions.learnt) == ([], [])
+
+
+def test_an_alarm_of_the_charts_is_told_with_its_remedy_and_a_chart_that_cannot_be_kept_with_its_error(
+    cell: Cell, models: ModelSet
+) -> None:
+    cause = SimpleNamespace(what="the light has changed", remedy="look at the lamp")
+    added: list[Any] = []
+    cell.manager.charts = SimpleNamespace(  # type: ignore[assignment]
+        add=lambda values, name, within: added.append((values, name, within)) or [("light", cause)]
+    )
+    ended = {"insertion_id": "one", "outcome": "inserted", "attempts": 2, "brightness_grey": 130.0}
+    cell.manager._chart(ended, models)
+    ((values, name, within),) = added
+    assert (values["light"], name) == (130.0, "")
+    assert within == " ".join(entry.sha256[:12] for entry in models.entries), "other networks begin new charts"
+    alarm = {"chart": "light", "cause": "the light has changed", "remedy": "look at the lamp"}
+    assert cell.events == [("drift", alarm)]
+    cell.manager._chart({"outcome": "nonsense"}, models)
+    assert cell.kinds == ["drift", "error"]
+
+
+def test_gels_are_known_by_what_was_measured_of_them(tmp_path: Path, models: ModelSet) -> None:
+    plain = drawn.calibration()
+    calibration: Any = SimpleNamespace(
+        camera=lambda finger: SimpleNamespace(
+            measured=None if finger == "left" else SimpleNamespace(fingerprint=None), raw=plain.left.raw
+        )
+    )
+    made = Cell(tmp_path, models).manager
+    known = InsertionManager(made.settings, models, calibration, made.cameras, Hub(), lambda _: None)
+    assert [entry.gel for entry in known.camera_entries()] == ["", ""]
+
+
+def test_a_message_for_an_insertion_that_just_ended_starts_no_thread(cell: Cell) -> None:
+    cell.ends("one")
+    before = threading.active_count()
+    cell.manager._close(wire.Finished(insertion_id="one", outcome="aborted", attempts=0))
+    assert threading.active_count() == before
