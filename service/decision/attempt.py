@@ -9,19 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import FINGERS, Finger, ModelCard, TactileFrame
+from service.contract import FINGERS, Finger, ModelCard, TactileFrame, wire
 from service.contract.model_card import CONDITIONS
-from service.contract.wire import (
-    Arm,
-    Armed,
-    Correction,
-    Descending,
-    NoDecision,
-    Outcome,
-    RefusalReason,
-    Refused,
-    Watching,
-)
+from service.contract.wire import Arm, Armed, Correction, Descending, NoDecision, Outcome, Refused, Watching
 from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.network_input import Descent
 from service.decision.seating import Push, push_of
@@ -165,7 +155,7 @@ class Attempt:
     def _named(self) -> dict[str, Any]:
         return {"insertion_id": self.arm.insertion_id, "attempt": self.arm.attempt}
 
-    def refusal(self, reason: RefusalReason, detail: str) -> Refused:
+    def refusal(self, reason: wire.RefusalReason, detail: str) -> Refused:
         """The refusal to arm this attempt, which ends it."""
         self.stage = Stage.DECIDED
         return Refused(**self._named, reason=reason, detail=detail)

@@ -190,7 +190,7 @@ def _choose_steps(folder: Path, candidates: Sequence[LoadedModel]) -> tuple[Load
         if other is not model:
             raise ModelError(f"two {model.card.role} step models, {other.path.name} and {model.path.name}; keep one")
     for whole in {"joint", "pair"} & set(by_role):
-        if len(by_role) > 1:
+        if set(by_role) != {whole}:
             raise ModelError(
                 f"{folder} holds a {whole} step model beside {sorted(by_role)}; keep the {whole} one or the others"
             )

@@ -42,7 +42,6 @@ class Insertion:
     publish: Callable[[str, Any], None]
     show: Callable[[Observation], None] = ignore
     received_ns: int = field(default_factory=now_ns)
-    closing: bool = False
     recorded_seq: dict[Finger, int] = field(default_factory=dict)
     jpegs: Mapping[tuple[Finger, int], bytes | None] = field(default_factory=dict)
     episode: wire.Episode | None = None
@@ -195,7 +194,7 @@ class Insertion:
         self._note(Recorder.call, value, now)
 
     def _write(self, sent: Replies, now: int) -> None:
-        for reply in () if self.closing else sent:
+        for reply in sent:
             self._note(_record_sent, reply, now)
 
     # ---- messages ---------------------------------------------------------------------------------------------------
@@ -206,7 +205,6 @@ class Insertion:
                 self._write([answer], now)
                 self._settle()
                 self.publish("message", answer)
-                self.closing = True
                 self.publish("finished", answer)
             else:
                 self._write(self._send_all([answer]), now)

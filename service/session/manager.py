@@ -158,7 +158,7 @@ class InsertionManager:
     def abort(self, cause: wire.Cause, reason: str) -> None:
         """End the insertion under way, if any; its recording is kept."""
         active = self.active
-        if active and active.session.insertion_id and not active.closing:
+        if active and active.session.insertion_id:
             active.message(wire.Abort(insertion_id=active.session.insertion_id, cause=cause, reason=reason))
 
     def _open(self, hello: wire.ClientHello) -> Insertion:

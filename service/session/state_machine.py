@@ -81,13 +81,13 @@ class InsertionSession:
                 replies = [self.finished]
             case wire.Abort():
                 replies = self._finish(message.cause)
-            case wire.LearnOpen():
+            case wire.LearnOpen() if self.attempt is None or self.attempt.stage is Stage.DECIDED:
                 self._open.ask(now_ns)
             case _:
                 replies = self._on_attempt_message(message, now_ns)
         return replies
 
-    def _on_attempt_message(self, message: wire.Arm | wire.Descending | wire.Stopped, now_ns: int) -> Replies:
+    def _on_attempt_message(self, message: Any, now_ns: int) -> Replies:
         match message:
             case wire.Arm():
                 return self._arm(message, now_ns)
@@ -95,6 +95,7 @@ class InsertionSession:
                 return self._descending(message, now_ns)
             case wire.Stopped():
                 return self._stopped(message, now_ns)
+        return [self._fault("protocol", f"{message.type} while an attempt is under way")]  # it would not be watched
 
     def _hello(self, message: wire.ClientHello, now_ns: int) -> Replies:
         if refused := unspoken(message):
@@ -175,15 +176,13 @@ class InsertionSession:
     def on_frame(self, frame: TactileFrame, now_ns: int) -> Replies:
         """Perceive one finger's frame; report slip at once, otherwise that both fingers are watched."""
         self._fingers.note(frame)
-        attempt = self.attempt
-        watch = self._fingers.watch(frame.finger)
+        attempt, watch = self.attempt, self._fingers.watch(frame.finger)
         if self._open.waiting:
             return self._open.take(str(self.insertion_id), watch, frame)
         if attempt is None or not self.wants_frames:
             return []
         attempt.rearm(watch, frame)
-        observation = self._fingers.observe(frame)
-        attempt.unread(observation)
+        attempt.unread(observation := self._fingers.observe(frame))
         self.on_observation(observation)
         if attempt.stage is not Stage.ARMED or attempt.slip_sent:
             return []

@@ -44,7 +44,6 @@ class EgmArm:
     _measured: WorkPose | None = None
     _sequence: int = 0
     _failed: str = ""
-    _closing: bool = False
     _ready: asyncio.Event = field(default_factory=asyncio.Event)
     _timer: asyncio.TimerHandle | None = None
     _stopping: asyncio.Task[str] | None = None
@@ -80,7 +79,7 @@ class EgmArm:
         return self._guide.target
 
     def move(self, target: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
-        """Begin a move; raises LimitError if it is not allowed or the arm is latched."""
+        """Begin a move; raises LimitError if it is not allowed, or the arm is latched or closed."""
         if self._failed or self._guide is None:
             raise LimitError(f"the arm takes no motion: {self._failed or 'not started'}")
         self._guide.move(target, motion, until_s, legs)
@@ -103,7 +102,7 @@ class EgmArm:
 
     async def close(self) -> str:
         """Stop the program while still answering with the frozen target, then stop listening."""
-        self._closing = True
+        self._failed = self._failed or "closed"
         if self._guide is not None:
             self._guide.hold()
         self._stop_program()
@@ -210,7 +209,7 @@ class EgmArm:
 
     def _check(self, state: codec.RobotState, measured: WorkPose, tilt_deg: float) -> None:
         assert self._guide is not None
-        if self._failed or self._closing or not self._timer:
+        if self._failed or not self._timer:
             return
         away_mm = self._guide.target.distance_mm(measured)
         try:
@@ -244,7 +243,7 @@ class EgmArm:
     def _report(self, measured: WorkPose, now_s: float) -> None:
         assert self._guide is not None
         settled = self._guide.observe(measured, now_s)
-        if settled and not self._failed and not self._closing:
+        if settled and not self._failed:
             arrived = settled == "arrived"
             still = Standstill(at_s=now_s, pose=measured, still_s=SETTLE_S)
             self._post(Arrived(at_s=now_s, pose=measured) if arrived else still)
@@ -261,7 +260,7 @@ class EgmArm:
 
     def _fail(self, code: str, detail: str) -> None:
         """Freeze first, report afterwards; only once."""
-        if self._failed or self._closing:
+        if self._failed:
             return
         self._failed = f"{code}: {detail}"
         assert self._guide is not None

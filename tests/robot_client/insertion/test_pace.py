@@ -142,10 +142,17 @@ def test_a_pace_beyond_limits_or_lease_moves_nothing(pace):
     assert not [c for c in commands if isinstance(c, Move)]
 
 
-@pytest.mark.parametrize("values", [{"lift_mm": 0.5}, {"above_mm": 0.0}, {"below_mm": 2.9}, {"fast_mm_s": math.nan}])
+LEAST = {"lift_mm": 2.0, "above_mm": 1.0, "below_mm": 3.0, "press_mm": 0.6}
+
+
+@pytest.mark.parametrize("values", [{name: least - 0.01} for name, least in LEAST.items()] + [{"fast_mm_s": math.nan}])
 def test_a_band_or_a_lift_too_small_for_what_is_not_known_is_refused(values):
     with pytest.raises(ValueError, match=next(iter(values))):
         Pace(**values)
+
+
+def test_the_least_band_and_lift_that_cover_what_is_not_known_are_taken():
+    assert Pace(**LEAST).model_dump(include=set(LEAST)) == LEAST
 
 
 def test_the_service_is_told_each_speed_when_its_leg_begins():

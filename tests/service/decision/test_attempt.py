@@ -1,6 +1,5 @@
-"""Which pairs an attempt's decision rests on, what is read of them, and what is kept."""
+"""From `arm` to the reference, and what counts as watched; on made-up observations."""
 
-import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -8,276 +7,171 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.contract import wire
-from service.decision import attempt as under_test
-from service.decision.attempt import Attempt, Stage, WorkResult, implausible_width, nothing_held
-from service.decision.controllers import Command
-from service.decision.evidence import Evidence, Refusal
-from service.decision.work import correction, decide_again, enough_message, latencies, plan_steps, plan_work
+from service.contract import Finger, TactileFrame, wire
+from service.decision.attempt import Attempt, Stage
 from service.perception.markers.field import empty_field
-from service.perception.observation import PairObservation
-from tests.service import tiny_models
-from tests.service.decision.test_claim import descent, pair
+from service.perception.observation import Observation, PairObservation
+from tests.service.decision.test_claim import observation
 
-PERIOD_NS = 33_000_000
-
-
-def at(number: int, late_ns: int = 0) -> PairObservation:
-    """The pair with this number; its right frame is a little later than its left one."""
-    left, right = pair().fingers
-    stamp_ns = number * PERIOD_NS
-    return PairObservation(
-        replace(left, seq=number, captured_ns=stamp_ns), replace(right, seq=number, captured_ns=stamp_ns + late_ns)
-    )
+ARMED_NS = 1000
+PIXELS = np.zeros((2, 2, 3), np.uint8)
 
 
-def moving(pairs_n: int, onset: int | None, late_ns: int = 0) -> Attempt:
-    attempt = descent(reference=at(100), onset_ns=None if onset is None else onset * PERIOD_NS + late_ns)
-    attempt.ring.clear()
-    attempt.ring.extend(at(number, late_ns) for number in range(pairs_n))
+def arming(**stated: Any) -> Attempt:
+    arm = wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0, **stated)
+    return Attempt(arm, ARMED_NS, generation=1)
+
+
+def frame(finger: Finger, captured_ns: int) -> TactileFrame:
+    return TactileFrame(finger, captured_ns, captured_ns, PIXELS)
+
+
+def at(finger: Finger, captured_ns: int, **changes: Any) -> Observation:
+    return replace(observation(finger), captured_ns=captured_ns, seq=captured_ns, **changes)
+
+
+def both(left_ns: int, right_ns: int, **changes: Any) -> PairObservation:
+    return PairObservation(at("left", left_ns, **changes), at("right", right_ns, **changes))
+
+
+def rearmed(attempt: Attempt, *frames: TactileFrame) -> list[int]:
+    """The frames that became the reference of a finger's slip."""
+    captured = list[int]()
+    for one in frames:
+        watch: Any = SimpleNamespace(rearm=lambda one=one: captured.append(one.captured_ns))
+        attempt.rearm(watch, one)
+    return captured
+
+
+def ready(**stated: Any) -> Attempt:
+    attempt = arming(**stated)
+    rearmed(attempt, frame("left", ARMED_NS), frame("right", ARMED_NS))
     return attempt
 
 
-@pytest.mark.parametrize("late_ns", [0, 5_000_000])
-@pytest.mark.parametrize(
-    ("rule", "onset", "reference"),
-    [("first_of_sequence", 3, 3), ("before_onset", 3, 2), ("first_of_sequence", 0, 0), ("before_onset", 0, 100)],
-)
-def test_a_decision_rests_on_pairs_from_the_onset_on_and_its_reference_is_one_of_them_or_the_one_before(
-    late_ns: int, rule: str, onset: int, reference: int
-) -> None:
-    """A pair shows the onset once its later frame does."""
-    attempt = moving(6, onset, late_ns)
-    fresh = attempt.take_decision_pairs(8, rule)
-    assert [one.seq for one in fresh] == list(range(onset, 6))
-    assert attempt.network_reference is not None
-    assert attempt.network_reference.seq == reference
-    for number in range(6, 14):
-        attempt.ring.append(at(number, late_ns))
-        fresh = attempt.take_decision_pairs(8, rule)
-        assert [one.seq for one in fresh] == ([number] if number < onset + 8 else [])
-    assert [one.seq for one in attempt.decision_pairs] == list(range(onset, onset + 8))
+def test_slip_is_counted_from_the_first_frame_of_each_finger_that_was_captured_after_arm() -> None:
+    attempt = arming()
+    frames = [frame("left", 999), frame("left", 1000), frame("left", 1001), frame("right", 998), frame("right", 1003)]
+    assert rearmed(attempt, *frames) == [1000, 1003]
+    attempt.stage = Stage.ARMED
+    attempt.rearmed.clear()
+    assert rearmed(attempt, frame("left", 1010)) == [], "an armed attempt keeps its reference"
 
 
-def test_of_many_pairs_since_the_onset_no_more_are_taken_than_the_networks_read() -> None:
-    attempt = moving(20, 2)
-    assert [one.seq for one in attempt.take_decision_pairs(8, "first_of_sequence")] == list(range(2, 10))
-    assert attempt.take_decision_pairs(8, "first_of_sequence") == []
+def test_an_attempt_is_armed_with_a_pair_of_two_rearmed_fingers_dated_by_the_older_one() -> None:
+    attempt = arming()
+    rearmed(attempt, frame("left", 1000))
+    assert attempt.take_reference(both(1000, 1002)) is None
+    assert attempt.stage is Stage.ARMING
+    rearmed(attempt, frame("right", 1002))
+    armed = attempt.take_reference(both(1000, 1002))
+    assert isinstance(armed, wire.Armed)
+    assert (armed.reference_seq, armed.frame_captured_ns, attempt.stage) == (1000, 1000, Stage.ARMED)
+    assert [pair.captured_ns for pair in attempt.ring] == [1002]
 
 
-@pytest.mark.parametrize("onset", [None, 9])
-def test_before_an_onset_or_a_pair_after_it_nothing_is_taken(onset: int | None) -> None:
-    attempt = moving(6, onset)
-    assert attempt.take_decision_pairs(8, "first_of_sequence") == []
-    assert attempt.take_steps(tiny_models.card("direction", "step")) == []
-    assert (attempt.network_reference, attempt.descent, attempt.decision_pairs) == (None, None, [])
+def test_a_frame_that_cannot_be_read_is_no_reference_and_slip_is_counted_anew_from_a_later_one() -> None:
+    attempt, dark = ready(), at("left", 1000)
+    attempt.unread(replace(dark, field=replace(dark.field, status="no_grid", reason="")))
+    attempt.unread(at("right", 1000))
+    assert attempt.problem == "left: no_grid"
+    assert attempt.take_reference(both(1005, 1000)) is None, "left has no reference"
+    assert rearmed(attempt, frame("left", 1010), frame("right", 1010)) == [1010]
+    assert isinstance(attempt.take_reference(both(1010, 1010)), wire.Armed)
 
 
-class Depth:
-    """Stands in for a descent: each pair completes one step."""
-
-    conditions: dict[str, float | None] = {"gap_width_mm": 56.0, "grip_n": None}  # noqa: RUF012 never changed
-    problem: Refusal | None = None
-    enough = felt = False
-    pressed_mm = 0.8
-
-    def __init__(self, *_: Any) -> None:
-        self.begun: list[int] = []
-
-    def begin(self, pairs: list[PairObservation], first: int) -> list[Any]:
-        self.begun = [pairs[first].seq, len(pairs)]
-        return [np.full((2, 1, 1, 3), one.seq, np.float32) for one in pairs[first:]]
-
-    def add(self, both: PairObservation) -> list[Any]:
-        return [np.full((2, 1, 1, 3), both.seq, np.float32)]
-
-
-def test_steps_of_depth_are_read_from_the_onset_to_the_frame_that_stopped_the_arm(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(under_test, "Descent", Depth)
-    attempt, card = moving(6, 3), tiny_models.card("direction", "step")
-    assert len(attempt.take_steps(card)) == 3
-    assert attempt.descent is not None
-    assert attempt.descent.begun == [3, 6]  # type: ignore[attr-defined]
-    attempt.stop_ns = 7 * PERIOD_NS
-    for number in (6, 7, 8):
-        attempt.ring.append(at(number))
-        attempt.take_steps(card)
-    assert [one.seq for one in attempt.decision_pairs] == [3, 4, 5, 6, 7]
-    assert [float(step.flat[0]) for step in attempt.steps] == [3.0, 4.0, 5.0, 6.0, 7.0]
-    kept = attempt.read_by_depth()
-    assert kept["steps"].shape == (5, 2, 1, 1, 3)
-    assert kept["conditions"].tolist()[0] == 56.0
-    assert set(kept["conditions"].tolist()[1:]) == {0.0}, "what is not known is kept as nothing"
-
-
-def test_what_is_kept_of_a_decision_is_its_pairs_and_the_markers_of_the_last_one() -> None:
-    pairs = [at(4), at(5)]
-    moved = replace(pairs[1].left.field, displacement_px=pairs[1].left.field.displacement_px + 2.0)
-    pairs[1] = replace(pairs[1], left=replace(pairs[1].left, field=moved))
-    arrays = descent(decision_pairs=pairs, network_reference=at(3)).arrays()
-    assert arrays["frame_seq"].tolist() == [4, 5]
-    assert arrays["captured_ns"].tolist() == [4 * PERIOD_NS, 5 * PERIOD_NS]
-    assert (arrays["displacement_px"][0] == 2.0).all()
-    assert (arrays["displacement_px"][1] == 0.0).all()
-    assert arrays["valid"].all()
+def test_fingers_with_different_grids_are_not_armed_and_both_are_tried_anew() -> None:
+    attempt, pair = ready(), both(1000, 1000)
+    other = replace(pair.right, field=empty_field(1000, "ok", ""))
+    assert attempt.take_reference(replace(pair, right=other)) is None
+    assert attempt.problem.startswith("the fingers show different grids: left 21 x 20 markers, right ")
+    assert rearmed(attempt, frame("left", 1010), frame("right", 1010)) == [1010, 1010]
 
 
 @pytest.mark.parametrize(
-    ("change", "spoilt"),
-    [({}, False), ({"slip_sent": True}, True), ({"stale_sent": True}, True), ({"broken": "left is gone"}, True)],
-)
-def test_a_reference_is_no_longer_valid_after_any_order_to_stop_or_a_cameras_fault(
-    change: dict[str, Any], spoilt: bool
-) -> None:
-    assert descent(**change).spoilt == spoilt
-
-
-@pytest.mark.parametrize(("width_mm", "held"), [(None, True), (2.0, True), (1.99, False), (0.0, False)])
-def test_fingers_two_millimetres_apart_may_hold_something(width_mm: float | None, held: bool) -> None:
-    arm = wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0, gripper_width_mm=width_mm)
-    assert (implausible_width(arm) == "") == held
-
-
-@pytest.mark.parametrize(
-    ("left", "right", "held"), [(1.0, 1.0, True), (0.99, 1.5, False), (None, 1.5, False), (None, None, False)]
-)
-def test_an_object_that_only_its_weight_shows_weighs_on_both_gels(left: Any, right: Any, held: bool) -> None:
-    both = pair(left=0.5, right=0.5)
-    both = PairObservation(replace(both.left, weight=left), replace(both.right, weight=right))
-    assert (nothing_held(both) == "") == held
-
-
-@pytest.mark.parametrize(
-    ("left", "right", "problem"), [(1, 1, ""), (0, 1, "left: no markers"), (1, 0, "right: no markers")]
-)
-def test_an_arming_waits_for_a_pair_of_which_both_frames_can_be_read(left: int, right: int, problem: str) -> None:
-    attempt = descent(stage=Stage.ARMING, reference=None, rearmed={"left", "right"})
-    attempt.ring.clear()
-    both, unread = at(7), empty_field(0, "no_grid", "no markers")
-    for one, good in zip(both.fingers, (left, right), strict=True):
-        attempt.unread(one if good else replace(one, field=unread))
-    assert attempt.problem == problem
-    answer = attempt.take_reference(both)
-    assert (answer is None) == bool(problem)
-    if isinstance(answer, wire.Armed):
-        assert (answer.reference_seq, answer.frame_captured_ns) == (7, 7 * PERIOD_NS)
-        assert [one.seq for one in attempt.ring] == [7]
-        attempt.unread(replace(both.left, field=unread))
-        assert (attempt.problem, attempt.rearmed) == ("", {"left", "right"}), "once armed it stays so"
-
-
-class Run:
-    """Stands in for the networks; keeps what they are shown."""
-
-    step_ms = 2.0
-
-    def __init__(self, fails: Exception | None = None) -> None:
-        self.shown: list[Any] = []
-        self.fails = fails
-
-    def step(self, frame: Any) -> None:
-        if self.fails:
-            raise self.fails
-        self.shown.append(frame)
-
-    def evidence(self) -> Evidence:
-        return Evidence(tiny_models.CLASSES, np.full(9, 1 / 9), (1.0, 1.0))
-
-
-def test_only_the_last_pair_of_a_decision_brings_its_result() -> None:
-    models: Any = SimpleNamespace(card=tiny_models.card("direction", "step", frames_per_decision=3))
-    attempt = descent(decision_pairs=[at(1), at(2), at(3)], run=Run(), generation=4)
-    first, last = (plan_work(models, attempt, attempt.decision_pairs[index]) for index in (0, 2))
-    assert first.run() is None
-    result = last.run()
-    assert isinstance(result, WorkResult)
-    assert (result.attempt, result.generation, result.refusal) == (1, 4, None)
-    assert result.latency_ms == {"networks_last_step": 2.0}
-    assert attempt.fed
-    early = descent(decision_pairs=[at(1), at(2)], run=Run())
-    assert plan_work(models, early, early.decision_pairs[-1]).run() is None, "it is the newest one, and not enough"
-    assert not early.fed
-
-
-@pytest.mark.parametrize("fault", [Refusal("out_of_distribution", "strange"), RuntimeError("broken")])
-def test_networks_that_fail_are_a_refusal_of_this_attempt(fault: Exception) -> None:
-    models: Any = SimpleNamespace(card=tiny_models.card("direction", "step", frames_per_decision=1))
-    attempt = descent(decision_pairs=[at(1)], run=Run(fault), generation=4)
-    result = plan_work(models, attempt, attempt.decision_pairs[0]).run()
-    assert result is not None
-    assert (result.generation, result.evidence) == (4, None)
-    assert result.refusal is not None
-    expected = ("out_of_distribution", "strange"), ("non_finite", "the networks failed: broken")
-    assert (result.refusal.reason, str(result.refusal)) in expected
-
-
-@pytest.mark.parametrize(
-    ("change", "complete"),
+    ("stated", "shown", "reason"),
     [
-        ({}, False),
-        ({"stage": Stage.STOPPED}, True),
-        ({"slip_sent": True}, True),
-        ({"problem": Refusal("out_of_distribution", "too fast")}, True),
-        ({"enough": True, "felt": True}, True),
+        ({}, {"bulge": 0.9}, "nothing_held"),
+        ({}, {"bulge": 0.9, "weight": 0.9}, "nothing_held"),
+        ({}, {"bulge": 0.9, "weight": 1.1}, None),
+        ({}, {"bulge": 0.9, "touch": 1.1}, None),
+        ({}, {"bulge": None}, None),
+        ({"gripper_width_mm": 1.9}, {}, "implausible_width"),
     ],
 )
-def test_steps_of_depth_are_answered_once_there_are_enough_or_no_more_will_come(
-    monkeypatch: pytest.MonkeyPatch, change: dict[str, Any], complete: bool
+def test_a_hand_that_holds_nothing_is_not_armed_and_its_attempt_is_over(
+    stated: dict[str, Any], shown: dict[str, Any], reason: str | None
 ) -> None:
-    """Of seven steps the card reads four."""
-    monkeypatch.setattr(under_test, "Descent", Depth)
-    pressing: Any = SimpleNamespace(steps_n=4)
-    models: Any = SimpleNamespace(card=SimpleNamespace(pressing=pressing))
-    attempt = moving(9, 2)
-    attempt.stage, attempt.run = Stage.ARMED, Run()  # type: ignore[assignment]
-    for name, value in change.items():
-        monkeypatch.setattr(attempt if name in {"stage", "slip_sent"} else Depth, name, value)
-    (work,) = plan_steps(models, attempt)
-    result = work.run()
-    assert [float(step.flat[0]) for step in attempt.run.shown] == [2.0, 3.0, 4.0, 5.0]  # type: ignore[union-attr]
-    assert (result is not None) == attempt.fed == complete
-    if isinstance(result, WorkResult):
-        assert (result.refusal is None) == ("problem" not in change)
-    attempt.ring.append(at(9))
-    assert plan_steps(models, attempt) == [], "the networks have all that they read"
+    attempt = ready(**stated)
+    answer = attempt.take_reference(both(1000, 1000, **shown))
+    assert getattr(answer, "reason", None) == reason
+    assert attempt.stage is (Stage.ARMED if reason is None else Stage.DECIDED)
 
 
-def test_a_stage_that_only_one_finger_went_through_took_as_long_as_there() -> None:
-    both = pair()
-    once = PairObservation(replace(both.left, cost_ms={"slip": 1.5}), replace(both.right, cost_ms={}))
-    run: Any = SimpleNamespace(step_ms=4.0)
-    assert latencies(run, once) == {"slip": 1.5, "networks_last_step": 4.0}
-    assert latencies(run, PairObservation(replace(both.left, cost_ms={"slip": 0.0}), both.right))["slip"] == 0.0
+def armed() -> Attempt:
+    attempt = ready()
+    attempt.take_reference(both(1000, 1000))
+    return attempt
 
 
-def test_a_correction_is_no_surer_than_certain_and_tells_the_turn_of_its_newest_pair() -> None:
-    sure: Any = SimpleNamespace(
-        confidence=1.0 + 1e-9, class_probabilities=dict, estimate=lambda: wire.Estimate(dx_mm=1.0, dtheta_deg=1.0)
-    )
-    attempt = descent()
-    attempt.ring.clear()
-    attempt.ring.extend([at(1), pair(turn_rad=math.nan), pair(turn_rad=0.01)])
-    message = correction("one", attempt, sure, Command(1.0, 2.0, "belief", "why"), {})
-    assert message.confidence == 1.0
-    assert message.turns_deg == pytest.approx((math.degrees(0.01), -math.degrees(0.01)))
-    attempt.ring.append(pair(turn_rad=math.nan))
-    assert correction("one", attempt, sure, Command(1.0, 2.0, "belief", "why"), {}).turns_deg is None
+def watched(attempt: Attempt, *shown: Observation) -> list[tuple[int, int]]:
+    """The stamps and the times of judgement in answer to these observations, judged 7 ns after their capture."""
+    answers = [answer for one in shown for answer in attempt.watching(one, one.captured_ns + 7)]
+    return [(answer.frame_captured_ns, answer.judged_ns) for answer in answers]
 
 
-def test_the_order_to_stop_names_the_newest_pair_and_its_capture_is_the_last_that_is_read() -> None:
-    attempt = moving(4, 1)
-    attempt.stage, attempt.descent = Stage.ARMED, Depth()  # type: ignore[assignment]
-    assert [*enough_message(attempt)] == []
-    attempt.descent.enough = True  # type: ignore[misc, union-attr]
-    (message,) = enough_message(attempt)
-    assert (message.frame_seq, message.pressed_mm, attempt.stop_ns) == (3, 0.8, 3 * PERIOD_NS)
+def test_what_is_watched_is_dated_by_the_finger_that_is_further_behind() -> None:
+    shown = [at("left", 1010), at("left", 1020), at("right", 1015), at("right", 1025), at("right", 1025)]
+    assert watched(armed(), *shown) == [(1015, 1022), (1020, 1032)]
 
 
-@pytest.mark.parametrize("problem", [None, Refusal("out_of_distribution", "too fast")])
-def test_networks_beside_refuse_for_the_same_reason_where_no_depth_was_read(problem: Refusal | None) -> None:
-    models: Any = SimpleNamespace(card=SimpleNamespace(pressing=SimpleNamespace(steps_n=4)))
-    shown: Any = None if problem is None else SimpleNamespace(problem=problem)
-    with pytest.raises(Refusal, match="too fast" if problem else "no step of depth was shown"):
-        decide_again(models, descent(descent=shown))
+def test_one_finger_and_frames_that_say_nothing_are_not_watching() -> None:
+    attempt = armed()
+    assert watched(attempt, at("left", 1010), at("left", 1020)) == []
+    dark = at("right", 1030)
+    dark = replace(dark, slip=replace(dark.slip, state="unknown"))
+    assert watched(attempt, dark) == []
+    assert watched(attempt, at("right", 1000)) == [], "no newer than the reference"
+    assert watched(attempt, at("right", 1040)) == [(1020, 1047)]
+
+
+@pytest.mark.parametrize("spoilt", [{"slip_sent": True}, {"stale_sent": True}, {"broken": "left gone"}])
+def test_an_attempt_whose_reference_is_spoilt_is_not_watched(spoilt: dict[str, Any]) -> None:
+    attempt = armed()
+    for name, value in spoilt.items():
+        setattr(attempt, name, value)
+    assert watched(attempt, at("left", 1010), at("right", 1010)) == []
+
+
+@pytest.mark.parametrize(("left_ns", "right_ns", "onset_ns"), [(None, None, None), (5, None, 5), (7, 6, 6)])
+def test_motion_began_when_the_first_finger_saw_it_and_stays_at_that(
+    left_ns: int | None, right_ns: int | None, onset_ns: int | None
+) -> None:
+    attempt, pair = armed(), both(1010, 1010)
+    shown = PairObservation(replace(pair.left, onset_ns=left_ns), replace(pair.right, onset_ns=right_ns))
+    attempt.take_in(shown)
+    assert attempt.onset_ns == onset_ns
+    assert (len(attempt.pushes), len(attempt.ring)) == (1, 2)
+    attempt.take_in(both(1020, 1020, onset_ns=1))
+    assert attempt.onset_ns == (onset_ns or 1)
+
+
+def test_the_first_pair_that_moves_is_the_first_whose_newer_frame_is_of_the_onset_or_later() -> None:
+    attempt = armed()
+    assert attempt.onset_index() is None
+    for left_ns, right_ns in ((1010, 1012), (1020, 1022), (1030, 1032)):
+        attempt.take_in(both(left_ns, right_ns))
+    indices = []
+    for attempt.onset_ns in (1012, 1013, 1032, 1033):
+        indices.append(attempt.onset_index())
+    assert indices == [1, 2, 3, None]
+
+
+def test_frames_after_the_one_that_stopped_the_arm_complete_no_step() -> None:
+    added, attempt, no_card = list[int](), armed(), SimpleNamespace()
+    attempt.descent = SimpleNamespace(add=lambda pair: [added.append(pair.captured_ns)])  # type: ignore[assignment]
+    attempt.stops(1020)
+    for captured_ns in (1020, 1021):
+        attempt.take_in(both(captured_ns, captured_ns))
+        attempt.take_steps(no_card)  # type: ignore[arg-type]
+    assert added == [1020]

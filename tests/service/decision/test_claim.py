@@ -53,7 +53,7 @@ def test_a_watched_descent_with_a_held_object_is_an_insertion() -> None:
 
 def test_one_finger_that_never_felt_the_object_may_go_on_feeling_nothing() -> None:
     attempt = descent(reference=pair(left=0.8))
-    attempt.ring.append(pair(left=0.7))
+    attempt.ring.append(pair(left=0.0))
     assert reasons(attempt) == []
 
 
@@ -62,6 +62,7 @@ def test_one_finger_that_never_felt_the_object_may_go_on_feeling_nothing() -> No
     [
         ({"descending_ns": None}, "order"),
         ({"descending_ns": FRAMES * PERIOD_NS - 50_000_000}, "order"),
+        ({"descending_ns": FRAMES * PERIOD_NS - 99_000_000}, "order"),
         ({"depth_mm": 0.0}, "depth"),
         ({"depth_mm": 23.9}, "depth"),
         ({"depth_mm": math.nan}, "depth"),
@@ -207,6 +208,18 @@ def test_a_grasp_remembers_its_strongest_push_and_its_furthest_press() -> None:
     grasp.blocked(descent(depth_mm=5.0))
     assert grasp.blocked_pitch == pytest.approx(0.4)
     assert grasp.pressed_mm == pytest.approx(4.0)
+
+
+def test_a_grasp_that_bore_little_remembers_little() -> None:
+    grasp = GraspRecord(50.0)
+    assert (grasp.blocked_pitch, grasp.pressed_mm) == (0.0, 0.0)
+    light = descent(pushes=[Push(0, 0.03, 0.03)])
+    grasp.blocked(light)
+    assert (grasp.blocked_pitch, grasp.pressed_mm) == (0.03, 0.0)
+
+
+def test_a_descent_as_fast_as_any_may_be_is_one() -> None:
+    assert "order" not in reasons(descent(descending_ns=FRAMES * PERIOD_NS - 101_000_000))
 
 
 def test_without_an_onset_nothing_was_pressed() -> None:

@@ -1,3 +1,4 @@
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,16 @@ def test_a_missing_network_and_a_second_one_are_refused(tmp_path: Path) -> None:
     (folder / "other.onnx").unlink()
     (folder / "magnitude.step.onnx").unlink()
     with pytest.raises(ContractError, match="no magnitude step model"):
+        load_models(folder)
+
+
+def test_a_network_that_decides_alone_is_refused_beside_others_by_name(tmp_path: Path) -> None:
+    folder = tiny_models.write_models(tmp_path)
+    shutil.copy(RELEASED / "pair.step.onnx", folder)
+    with pytest.raises(ContractError, match=r"pair step model beside .*'direction'.*; keep the pair one or the others"):
+        load_models(folder)
+    (folder / "magnitude.step.onnx").unlink()
+    with pytest.raises(ContractError, match=r"a pair step model beside \['direction', 'pair'\]"):
         load_models(folder)
 
 

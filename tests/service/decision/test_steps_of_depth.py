@@ -100,8 +100,9 @@ def test_the_arm_is_stopped_once_the_networks_have_seen_enough(made: Callable[..
 def test_a_press_goes_as_far_as_asked_but_no_deeper_than_the_gel_sticks_and_the_networks_read(
     made, reach_mm: float | None, press_mm: float, steps_n: int
 ) -> None:
-    card = made().steps[0].card
-    assert network_input.Descent(card, {"shear_reach_mm": reach_mm}, press_mm).worth_n == steps_n
+    descent = network_input.Descent(made().steps[0].card, {"shear_reach_mm": reach_mm}, press_mm)
+    assert descent.worth_n == steps_n
+    assert (descent.pressed_mm, descent.enough, descent.felt) == (0.0, False, False), "before its first step"
 
 
 def test_a_press_until_slip_goes_on_after_what_the_networks_read(made: Callable[..., ModelSet]) -> None:

@@ -1,5 +1,6 @@
 """Reasons against a decision are an answer, not an error of the networks' thread."""
 
+from collections import deque
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -158,18 +159,115 @@ def test_an_attempt_in_which_nothing_was_shown_cannot_be_decided_again() -> None
         decide_again(models, descent(network_reference=None))
 
 
-def test_steps_of_depth_took_as_long_as_the_newest_pair_and_the_networks_last_step() -> None:
-    older, newest = (
-        PairObservation(*(replace(one, cost_ms={"markers": cost_ms}) for one in pair().fingers))
-        for cost_ms in (9.0, 2.0)
-    )
-    evidence = Evidence(tiny_models.CLASSES, np.full(9, 1 / 9), (1.0, 1.0))
-    depth: Any = SimpleNamespace(problem=None, enough=True, felt=True, add=lambda _: [])
-    run: Any = SimpleNamespace(step_ms=4.0, evidence=lambda: evidence)
-    models: Any = SimpleNamespace(card=SimpleNamespace(pressing=SimpleNamespace(steps_n=4)))
-    attempt = descent(descent=depth, run=run)
-    attempt.ring.extend([older, newest])
+def stamped(seq: int, cost_ms: float = 1.0) -> PairObservation:
+    """A pair of that number, captured as many hundredths of a second after the first."""
+    changed = {"seq": seq, "captured_ns": seq * 10_000_000, "cost_ms": {"markers": cost_ms}}
+    return PairObservation(*(replace(one, **changed) for one in pair().fingers))
+
+
+@pytest.mark.parametrize(
+    ("onset", "rule", "reference"),
+    [
+        (5, "first_of_sequence", 5),
+        (5, "before_onset", 4),
+        (3, "first_of_sequence", 3),
+        (3, "before_onset", 0),
+    ],
+)
+def test_networks_compare_with_the_first_pair_that_moves_or_the_last_one_before_it(
+    onset: int, rule: str, reference: int
+) -> None:
+    """The ring begins at pair 3; whatever moves in it already is compared with the reference at arming."""
+    attempt = descent(reference=stamped(0), onset_ns=onset * 10_000_000)
+    attempt.ring = deque(stamped(seq) for seq in range(3, 8))
+    fresh = attempt.take_decision_pairs(3, rule)
+    assert [one.seq for one in fresh] == [one.seq for one in attempt.decision_pairs] == list(range(onset, 8))[:3]
+    assert attempt.network_reference is not None
+    assert attempt.network_reference.seq == reference
+
+
+def test_the_result_of_steps_states_what_the_newest_pair_took() -> None:
+    spec = SimpleNamespace(steps_n=5)
+    models: Any = SimpleNamespace(card=SimpleNamespace(pressing=spec))
+    read: list[int] = []
+    descended: Any = SimpleNamespace(add=lambda one: [one.seq], problem=None, enough=True, felt=True)
+    run: Any = SimpleNamespace(step=read.append, step_ms=2.0, evidence=lambda: "felt")
+    attempt = descent(stage=Stage.ARMED, descent=descended, run=run)
+    attempt.ring = deque(stamped(seq, cost_ms=float(seq)) for seq in range(4))
     (work,) = plan_steps(models, attempt)
     result = work.run()
     assert result is not None
-    assert result.latency_ms == {"markers": 2.0, "networks_last_step": 4.0}
+    assert (read, result.evidence, result.latency_ms) == ([3], "felt", {"markers": 3.0, "networks_last_step": 2.0})
+    assert plan_steps(models, attempt) == [], "they were given their last input"
+
+
+def test_the_step_on_the_last_pair_alone_returns_the_result() -> None:
+    models: Any = SimpleNamespace(card=tiny_models.card("direction", "step", frames_per_decision=3))
+    run: Any = SimpleNamespace(step=lambda _: None, step_ms=2.0, evidence=lambda: "felt")
+    attempt, pairs = descent(run=run), [stamped(seq) for seq in range(3)]
+    returned, fed = list[object](), list[bool]()
+    for index, one in enumerate(pairs):
+        attempt.decision_pairs = pairs[: index + 1]
+        returned.append(plan_work(models, attempt, one).run())
+        fed.append(attempt.fed)
+    assert [result is not None for result in returned] == fed == [False, False, True]
+    assert plan_work(models, attempt, pairs[1]).run() is None, "another pair of a whole decision"
+
+
+class Steps:
+    """A descent whose every pair completes the steps of depth that a test lays out."""
+
+    def __init__(self, *fresh: list[int], **state: Any) -> None:
+        self.fresh, self.problem, self.enough, self.felt = [*fresh], None, False, True
+        vars(self).update(state)
+
+    def add(self, _pair: PairObservation) -> list[int]:
+        return self.fresh.pop(0)
+
+
+def planned(attempt: Attempt, steps: Any, read: list[int]) -> Any:
+    """The result of the newest pair, "nothing to do" or None; ``read`` is what the networks were shown."""
+    models: Any = SimpleNamespace(card=SimpleNamespace(pressing=SimpleNamespace(steps_n=5)))
+    attempt.run = SimpleNamespace(step=read.append, step_ms=2.0, evidence=lambda: "felt")  # type: ignore[assignment]
+    attempt.descent = steps
+    works = plan_steps(models, attempt)
+    return works[0].run() if works else "nothing to do"
+
+
+def test_networks_are_shown_as_many_steps_as_they_read_however_long_is_pressed() -> None:
+    read, attempt = list[int](), descent(stage=Stage.ARMED)
+    steps = Steps([1, 2], [], [3, 4, 5, 6], [7])
+    assert [planned(attempt, steps, read) for _ in range(4)] == [None, "nothing to do", None, "nothing to do"]
+    assert read == [1, 2, 3, 4, 5]
+    assert attempt.steps == [1, 2, 3, 4, 5, 6, 7]
+
+
+@pytest.mark.parametrize("why", ["enough", "stopped", "slip", "stale", "camera"])
+def test_what_ends_a_press_ends_what_the_networks_wait_for(why: str) -> None:
+    read, attempt = list[int](), descent(stage=Stage.STOPPED if why == "stopped" else Stage.ARMED)
+    attempt.slip_sent, attempt.stale_sent = why == "slip", why == "stale"
+    attempt.broken = "left gone" if why == "camera" else ""
+    result = planned(attempt, Steps([1], enough=why == "enough"), read)
+    assert (result.evidence, result.refusal, read, attempt.fed) == ("felt", None, [1], True)
+    assert planned(attempt, Steps([2]), read) == "nothing to do"
+
+
+def test_a_press_that_cannot_be_read_is_refused_with_its_problem() -> None:
+    problem = Refusal("out_of_distribution", "the grid changed")
+    result = planned(descent(stage=Stage.ARMED), Steps([], problem=problem), [])
+    assert (result.evidence, result.refusal) == (None, problem)
+
+
+def test_what_was_no_press_is_awaited_again_and_decides_nothing() -> None:
+    attempt = descent(stage=Stage.ARMED, onset_ns=5)
+    assert planned(attempt, Steps([1], enough=True, felt=False), []) == "nothing to do"
+    assert (attempt.onset_ns, attempt.descent, attempt.steps, attempt.fed) == (None, None, [], False)
+
+
+@pytest.mark.parametrize("problem", [None, Refusal("out_of_distribution", "the grid changed")])
+def test_other_networks_refuse_a_press_that_was_not_read(problem: Refusal | None) -> None:
+    models: Any = SimpleNamespace(card=SimpleNamespace(pressing=SimpleNamespace(steps_n=5)))
+    attempt = descent(descent=problem and Steps(problem=problem))
+    with pytest.raises(Refusal) as refused:
+        decide_again(models, attempt)
+    assert (refused.value.reason == "no_motion") if problem is None else (refused.value is problem)

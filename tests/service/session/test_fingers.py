@@ -1,6 +1,6 @@
-"""What both fingers say together: slides, an empty hand, age, and the facts about their gels."""
+"""When a hand counts as empty, and which frames and ages belong to a pair; on made-up observations."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -9,160 +9,150 @@ import numpy as np
 import pytest
 
 from service.contract import FramePair, TactileFrame
-from service.perception.markers.field import empty_field
+from service.decision.attempt import Attempt, Stage
 from service.perception.observation import Observation, PairObservation
-from service.session.fingers import Fingers, gels_of
-from tests.service.decision.test_claim import descent, observation, pair
+from service.session.fingers import Fingers
+from tests.service.decision.test_claim import descent, observation
 
-PIXELS = np.zeros((2, 2, 3), np.uint8)
-MS = 1_000_000
-
-
-class Watch:
-    """Shows what the test says that its finger shows, with the stamp of the frame."""
-
-    gel_distance: float | None = None
-
-    def __init__(self, shown: Observation) -> None:
-        self.shown = shown
-
-    def observe(self, frame: TactileFrame) -> Observation:
-        return replace(self.shown, seq=frame.seq, captured_ns=frame.captured_ns)
+Felt = tuple[float | None, float | None]  # bulge and touch of a finger
+HELD, EMPTY = (6.0, 6.0), (0.1, 0.1)
 
 
-class Hand:
-    """Both fingers, shown pair by pair what is set for them."""
-
-    def __init__(self, held: PairObservation | None = None) -> None:
-        held = held or touched(2.0, 2.0)
-        self.left, self.right = Watch(held.left), Watch(held.right)
-        self.fingers, self.seq = Fingers(self.left, self.right), 0  # type: ignore[arg-type]
-
-    def sees(self, both: PairObservation) -> PairObservation:
-        self.left.shown, self.right.shown = both.left, both.right
-        self.seq += 1
-        for finger in ("left", "right"):
-            self.fingers.observe(frame(finger, self.seq))
-        return self.fingers.both()
+def felt(finger: Any, bulge: float | None, touch: float | None) -> Observation:
+    return replace(observation(finger, bulge), touch=touch)
 
 
-def frame(finger: Any, seq: int = 0, captured_ns: int = 0) -> TactileFrame:
-    return TactileFrame(finger, seq, captured_ns, PIXELS)
+class Hand(Fingers):
+    """Fingers whose perception is given."""
+
+    def shows(self, left: Felt, right: Felt) -> PairObservation:
+        self._observations = {"left": felt("left", *left), "right": felt("right", *right)}
+        return self.both()
 
 
-def touched(left: float | None, right: float | None, **changes: Any) -> PairObservation:
-    both = pair()
-    return PairObservation(replace(both.left, touch=left, **changes), replace(both.right, touch=right, **changes))
+def hand() -> Hand:
+    nobody: Any = SimpleNamespace()
+    return Hand(nobody, nobody)
 
 
-GONE = touched(0.1, 0.1, bulge=0.1)
+def armed(left: Felt, right: Felt, generation: int = 1) -> Attempt:
+    reference = PairObservation(felt("left", *left), felt("right", *right))
+    return descent(outcome=None, stage=Stage.ARMED, reference=reference, generation=generation)
 
 
-def test_a_hand_that_has_lost_its_object_says_so_once_and_again_only_after_it_held_one_again() -> None:
-    hand, attempt = Hand(), descent(outcome=None, reference=touched(2.0, 2.0))
-    losses = []
-    for both in [touched(2.0, 2.0)] * 2 + [GONE] * 4 + [touched(2.0, 2.0)] * 6 + [GONE] * 3:
-        hand.sees(both)
-        losses.append(bool(hand.fingers.emptied(attempt)))
-    assert [index for index, now in enumerate(losses) if now] == [3, 13], "two empty pairs in a row"
+def lost(one: Hand, attempt: Attempt, shown: Sequence[tuple[Felt, Felt]]) -> list[int]:
+    """The pairs at which the hand is said to be empty."""
+    pairs = []
+    for index, (left, right) in enumerate(shown):
+        one.shows(left, right)
+        if one.emptied(attempt):
+            pairs.append(index)
+    return pairs
 
 
-def test_each_arming_begins_with_an_object_in_the_hand() -> None:
-    hand, losses = Hand(), []
-    for generation in (1, 2):
-        attempt = descent(outcome=None, reference=touched(2.0, 2.0), generation=generation)
-        for _ in range(3):
-            hand.sees(GONE)
-            losses.append(bool(hand.fingers.emptied(attempt)))
-    assert losses == [False, True, False] * 2
+def test_a_hand_is_empty_once_both_gels_were_so_twice_and_that_is_said_once() -> None:
+    shown = [(HELD, HELD), (EMPTY, HELD), (EMPTY, HELD), (EMPTY, EMPTY), (EMPTY, EMPTY), (EMPTY, EMPTY)]
+    assert lost(hand(), armed(HELD, HELD), shown) == [4]
 
 
-def test_before_an_arming_and_at_full_depth_an_empty_hand_is_no_loss() -> None:
-    for attempt in (descent(outcome=None, reference=None), descent(reference=touched(2.0, 2.0))):
-        hand = Hand()
-        for _ in range(4):
-            hand.sees(GONE)
-            assert hand.fingers.emptied(attempt) == ""
+def test_an_attempt_armed_anew_begins_with_a_held_object() -> None:
+    one = hand()
+    assert lost(one, armed(HELD, HELD), [(EMPTY, EMPTY)] * 3) == [1]
+    assert lost(one, armed(HELD, HELD), [(EMPTY, EMPTY)] * 3) == []
+    assert lost(one, armed(HELD, HELD, generation=2), [(EMPTY, EMPTY)] * 3) == [1]
+
+
+def test_what_was_set_down_at_full_depth_is_not_lost() -> None:
+    attempt = armed(HELD, HELD)
+    attempt.outcome = "inserted"
+    assert lost(hand(), attempt, [(HELD, HELD), *[(EMPTY, EMPTY)] * 3]) == []
 
 
 @pytest.mark.parametrize(
-    ("reference", "now", "lost"),
+    ("reference", "later", "gone"),
     [
-        (touched(2.0, 2.0, bulge=9.0), touched(0.1, 0.1, bulge=9.0), True),  # its picture felt it, and no longer does
-        (touched(0.9, 0.9, bulge=3.0), touched(0.1, 0.1, bulge=1.1), False),  # only its markers felt it, and still do
-        (touched(0.9, 0.9, bulge=3.0), touched(0.1, 0.1, bulge=0.9), True),
-        (touched(None, None, bulge=3.0), touched(0.1, 0.1, bulge=1.1), False),
-        (touched(0.9, 0.9, bulge=0.8), touched(0.9, 0.9, bulge=0.41), False),  # its weight alone: half of it is left
-        (touched(0.9, 0.9, bulge=0.8), touched(0.9, 0.9, bulge=0.1), True),
-        (touched(0.9, 0.9, bulge=3.0), touched(0.1, 0.1, bulge=None), False),  # unknown is not empty
-        (touched(1.1, 1.1, bulge=3.0), touched(0.1, 0.1, bulge=3.0), True),
+        (((6.0, 0.5), (6.0, 0.5)), (3.0, 0.5), False),
+        (((6.0, 0.5), (6.0, 0.5)), (1.1, 0.5), False),
+        (((6.0, 0.5), (6.0, 0.5)), (0.9, 0.5), True),
+        (((6.0, None), (6.0, None)), (3.0, None), False),
+        (((6.0, None), (6.0, None)), (0.9, None), True),
+        (((6.0, 1.5), (6.0, 1.5)), (6.0, 0.5), True),
+        (((6.0, 0.5), (6.0, 0.5)), (None, 0.5), False),
+        (((0.8, 0.5), (0.8, 0.5)), (0.41, 0.5), False),
+        (((0.8, 0.5), (0.8, 0.5)), (0.39, 0.5), True),
+    ],
+    ids=[
+        "faint picture, markers hold",
+        "faint picture, markers just hold",
+        "faint picture, markers gone",
+        "no picture, markers hold",
+        "no picture, markers gone",
+        "picture gone",
+        "markers not found",
+        "half of a weight",
+        "less than half of a weight",
     ],
 )
-def test_a_finger_is_judged_by_what_felt_the_object_at_arming(
-    reference: PairObservation, now: PairObservation, lost: bool
+def test_a_finger_is_judged_by_what_it_showed_at_arming(reference: tuple[Felt, Felt], later: Felt, gone: bool) -> None:
+    """By its picture, else by its markers; under a weight alone by the share of it that is left."""
+    assert lost(hand(), armed(*reference), [reference, (later, later), (later, later)]) == ([2] if gone else [])
+
+
+def frame(finger: Any, seq: int, captured_ns: int) -> TactileFrame:
+    return TactileFrame(finger, seq, captured_ns, np.zeros((2, 2, 3), np.uint8))
+
+
+def test_a_pairs_frame_is_missing_until_its_very_frame_was_perceived() -> None:
+    one, pair = hand(), FramePair(frame("left", 0, 0), frame("right", 0, 0))
+    assert [shown.finger for shown in one.missing(pair)] == ["left", "right"]
+    one.shows(HELD, HELD)
+    assert one.missing(pair) == []
+    for newer in (FramePair(frame("left", 1, 0), pair.right), FramePair(frame("left", 0, 5), pair.right)):
+        assert [shown.finger for shown in one.missing(newer)] == ["left"]
+
+
+def test_frames_are_stale_by_the_finger_that_is_further_behind_and_not_before_both_have_one() -> None:
+    one = hand()
+    one.note(frame("left", 0, 10_000_000))
+    assert (one.age_ms(10**9), one.stale(10**12, 500.0)) == (None, "")
+    one.note(frame("right", 0, 40_000_000))
+    assert one.age_ms(510_000_000) == 500.0
+    assert one.stale(510_000_000, 500.0) == ""
+    assert "is 501 ms old" in one.stale(511_000_000, 500.0)
+
+
+@pytest.mark.parametrize(
+    ("score", "state", "usable", "state_shown"),
+    [
+        (None, "hold", True, "hold"),
+        (-0.01, "hold", True, "hold"),
+        (0.0, "hold", True, "gross_slip"),
+        (0.7, "hold", True, "gross_slip"),
+        (0.7, "hold", False, "hold"),
+        (0.7, "unknown", True, "unknown"),
+    ],
+)
+def test_an_imprint_that_slides_stops_the_arm_unless_its_markers_did_or_cannot_be_read(
+    score: float | None, state: Any, usable: bool, state_shown: str
 ) -> None:
-    hand, attempt = Hand(), descent(outcome=None, reference=reference)
-    losses = []
-    for both in [reference] * 2 + [now] * 3:
-        hand.sees(both)
-        losses.append(hand.fingers.emptied(attempt))
-    assert any(losses) == lost
+    observed = felt("left", *HELD)
+    field = observed.field if usable else replace(observed.field, status="no_grid")
+    observed = replace(observed, field=field, slip=replace(observed.slip, state=state))
+    watch: Any = SimpleNamespace(observe=lambda frame: replace(observed, finger=frame.finger))
+    one = Fingers(watch, watch)
+    asked = list[int]()
+    one._witness = SimpleNamespace(update=lambda imprints: asked.append(len(imprints)) or score)  # type: ignore[assignment]
+    for finger in ("left", "right"):
+        slip = one.observe(frame(finger, 0, 0)).slip
+        assert (slip.state, slip.score) == (state_shown, 1.0 if state_shown != state else observed.slip.score)
+        assert slip.stop == (state_shown == "gross_slip")
+    assert asked == [1, 2], "both fingers, once they were seen"
 
 
-def slides(score: float | None) -> Callable[[Any], float | None]:
-    return lambda _: score
-
-
-def test_a_sliding_imprint_stops_the_arm_from_its_limit_on_and_not_over_a_stop_of_the_markers() -> None:
-    hand = Hand()
-    stopped = replace(observation("left").slip, state="gross_slip", score=3.0, reason="markers")
-    blind = replace(observation("left"), field=empty_field(0, "no_grid", "no markers"))
-    shown = {"held": observation("left"), "markers stop": replace(observation("left"), slip=stopped), "blind": blind}
-    heard = {}
-    for score in (None, -0.1, 0.0, 0.5):
-        hand.fingers._witness = SimpleNamespace(update=slides(score))  # type: ignore[assignment]
-        for name, one in shown.items():
-            hand.left.shown = one
-            slip = hand.fingers.observe(frame("left")).slip
-            heard[name, score] = slip.reason if slip.stop else ""
-            assert slip.score == {"markers": 3.0, "the imprint slides": 1.0}.get(slip.reason, slip.score)
-    words = {"held": ("", "", "the imprint slides", "the imprint slides"), "blind": ("",) * 4}
-    for name, expected in (words | {"markers stop": ("markers",) * 4}).items():
-        assert tuple(heard[name, score] for score in (None, -0.1, 0.0, 0.5)) == expected
-
-
-def test_only_frames_of_a_pair_that_were_not_perceived_are_missing() -> None:
-    hand = Hand()
-    one = FramePair(frame("left", 4, 40 * MS), frame("right", 7, 41 * MS))
-    assert hand.fingers.missing(one) == [one.left, one.right]
-    hand.fingers.observe(one.right)
-    assert hand.fingers.missing(one) == [one.left]
-    hand.fingers.observe(one.left)
-    assert hand.fingers.missing(one) == []
-    assert hand.fingers.missing(FramePair(one.left, frame("right", 8, 74 * MS))) != []
-
-
-def test_frames_are_stale_by_their_older_finger_once_both_have_been_seen() -> None:
-    hand = Hand().fingers
-    hand.note(frame("left", 0, 100 * MS))
-    assert (hand.age_ms(900 * MS), hand.stale(900 * MS, 150.0)) == (None, "")
-    hand.note(frame("right", 0, 140 * MS))
-    assert hand.age_ms(250 * MS) == pytest.approx(150.0)
-    assert hand.stale(250 * MS, 150.0) == ""
-    assert hand.stale(252 * MS, 150.0) == "a finger's newest frame is 152 ms old; hold until it is back"
-
-
-def test_the_summary_tells_the_gel_that_is_stranger_and_the_finger_that_shows_fewer_markers() -> None:
-    watches: Any = [SimpleNamespace(gel_distance=distance) for distance in (None, None)]
-    assert gels_of(tuple(watches), None) == {}
-    watches[1].gel_distance = 0.123456
-    assert gels_of(tuple(watches), descent(reference=None)) == {"gel_distance": 0.1235}
-    watches[0].gel_distance = 0.2
-    both = pair()
-    valid = np.arange(both.left.field.valid.size).reshape(both.left.field.valid.shape) >= 100
-    left = replace(both.left, image=np.full((2, 3, 3), 100, np.uint8), field=replace(both.left.field, valid=valid))
-    right = replace(both.right, image=np.array([[[1, 1, 2]]], np.uint8))
-    facts = gels_of(tuple(watches), descent(reference=PairObservation(left, right)))
-    assert facts == {"gel_distance": 0.2, "markers_share": 0.7619, "brightness_grey": 50.67}
-    unseen = replace(right, field=empty_field(0, "no_grid", "no markers"))
-    assert gels_of((), descent(reference=PairObservation(left, unseen)))["markers_share"] == 0.0
+def test_slip_that_the_markers_show_is_told_by_them() -> None:
+    observed = felt("left", *HELD)
+    observed = replace(observed, slip=replace(observed.slip, state="gross_slip", score=0.4, reason="the rim lags"))
+    watch: Any = SimpleNamespace(observe=lambda _frame: observed)
+    one = Fingers(watch, watch)
+    one._witness = SimpleNamespace(update=lambda _imprints: 0.7)  # type: ignore[assignment]
+    assert one.observe(frame("left", 0, 0)).slip.reason == "the rim lags"

@@ -2,6 +2,7 @@
 
 import json
 import threading
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -162,6 +163,56 @@ def test_an_insertion_goes_on_with_what_the_one_before_knew_where_it_names_it(
     wait_for_recorders()
     assert Recording(next(recorded.parent.glob("insertion.mcap"))).metadata["continues"] == ("one" if knows else "")
     assert shared.opened_n == 2
+
+
+def test_other_networks_go_on_with_nothing_that_the_ones_before_have_found(models: ModelSet, tmp_path: Path) -> None:
+    shared = manager(models, tmp_path)
+    client = Client(shared)
+    client.connect("one")
+    shared.receive(wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), client.send)
+    shared.abort("afresh", "turned")
+    shared.models = replace(models)
+    shared.connect(wire.ClientHello(insertion_id="two", client="test", continues="one"), Client(shared).send)
+    assert shared.active.session.models is shared.models
+    assert shared.active.session.decider is None
+    shared.abort("operator", "done")
+    wait_for_recorders()
+
+
+def test_only_the_connection_that_drives_is_listened_to(models: ModelSet, tmp_path: Path) -> None:
+    shared = manager(models, tmp_path)
+    driver, other = Client(shared), Client(shared)
+    driver.connect("one")
+    arm = wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+    beat = wire.ClientHeartbeat(insertion_id="one", count=7)
+    end = wire.Abort(insertion_id="one", cause="operator", reason="done")
+    for message in (arm, beat, end):
+        shared.receive(message, other.send)
+    shared.disconnect(driver.send)
+    shared.receive(arm, driver.send)
+    assert shared.active.session.attempt is None
+    assert ([message.type for message in driver.heard], other.heard) == (["hello"], [])
+    driver.connect("one")
+    shared.receive(arm, driver.send)
+    assert shared.active.session.attempt is not None
+    shared.receive(end, driver.send)
+    wait_for_recorders()
+    shared.receive(end, other.send)
+    assert other.heard == []
+    shared.receive(beat, other.send)
+    assert [(message.type, message.count) for message in other.heard] == [("heartbeat", 7)], "who waits for the end"
+    shared.receive(beat.model_copy(update={"insertion_id": "never"}), other.send)
+    assert len(other.heard) == 1
+
+
+def test_without_an_insertion_nothing_is_judged_and_nothing_fails(models: ModelSet, tmp_path: Path) -> None:
+    idle = manager(models, tmp_path)
+    idle.result(SimpleNamespace(generation=1))
+    idle.fault("camera_lost", "left is gone")
+    idle.tick(10**15)
+    idle.abort("operator", "done")
+    idle.disconnect(Client(idle).send)
+    assert (idle.active, idle.opened_n) == (None, 0)
 
 
 def test_an_insertion_ends_once_its_client_has_been_silent_for_too_long(models: ModelSet, tmp_path: Path) -> None:

@@ -107,6 +107,49 @@ def test_a_finger_that_has_a_camera_takes_no_pushed_frames(idle: Station) -> Non
         idle.push("left")
 
 
+class Driven:
+    """An insertion that wants frames or does not; ``frames`` are the frames that it was given."""
+
+    def __init__(self, *, wants_frames: bool) -> None:
+        self.wants_frames, self.frames = wants_frames, list[int]()
+        self.session = SimpleNamespace(watches_slip=False)
+
+    def frame(self, frame: CameraFrame, _pair: object) -> None:
+        self.frames.append(frame.frame.seq)
+
+
+def deliver(station: Station, *numbers: int) -> None:
+    for seq in numbers:
+        frame = TactileFrame("left", seq, seq, np.zeros((2, 2, 3), np.uint8))
+        station._on_camera_frame(CameraFrame(frame, None))
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_frames_between_attempts_are_neither_perceived_nor_counted_as_dropped(
+    idle: Station, monkeypatch: pytest.MonkeyPatch, wanted: bool
+) -> None:
+    driven = Driven(wants_frames=wanted)
+    monkeypatch.setattr(idle.manager, "active", driven)
+    deliver(idle, *range(1, 11))
+    for _ in range(10):
+        idle._next_frame()
+    assert driven.frames == ([3, 4, 5, 6, 7, 8, 9, 10] if wanted else [])
+    assert idle.counters.frames_dropped_n == (2 if wanted else 0)
+
+
+def test_frames_that_wait_while_their_insertion_ends_go_to_no_other_and_are_no_error(
+    idle: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deliver(idle, 1)
+    monkeypatch.setattr(idle.manager, "active", Driven(wants_frames=True))
+    deliver(idle, 2)
+    monkeypatch.setattr(idle.manager, "active", None)
+    idle._inbox.put(None)
+    idle._run()
+    assert idle.counters.perception_errors_n == 0
+    assert not idle._frames
+
+
 @pytest.mark.parametrize(("asked_hz", "rate_hz"), [(None, 30.0), (90.0, 90.0)])
 def test_cameras_are_asked_for_the_rate_that_is_set_or_else_the_sensors(
     tmp_path: Path, models: ModelSet, monkeypatch: pytest.MonkeyPatch, asked_hz: float | None, rate_hz: float

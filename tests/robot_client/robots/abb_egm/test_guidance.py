@@ -1,6 +1,7 @@
 """Guidance datagram by datagram: the answers, the reports, and the causes of a permanent freeze."""
 
 import asyncio
+from types import SimpleNamespace
 
 import pytest
 
@@ -17,6 +18,7 @@ from tests.robot_client.robots.abb_egm.test_driver import Wire
 
 HERE = WorkPose(x_mm=5.0, y_mm=0.0, z_mm=60.0, yaw_deg=0.0)
 CYCLE_MS = 4
+LATER = SimpleNamespace(monotonic=lambda: 10.0, monotonic_ns=lambda: 10 * 10**9)  # than any silence that is allowed
 
 
 class Controller:
@@ -216,28 +218,47 @@ def test_an_arm_is_started_moved_held_and_its_program_stopped():
     assert findings[1].good
 
 
-def test_only_the_first_of_several_faults_is_reported_and_none_while_the_arm_is_closed():
+def test_the_first_fault_alone_is_reported(monkeypatch):
+    """An arm that has strayed falls silent, too, as when its program is stopped for it."""
+
     def story(cell):
         cell.cycles(2)
-        cell.arm._fail("tracking", "strayed")
-        cell.arm._fail("silent", "and then silent")
+        cell.here = HERE.model_copy(update={"y_mm": 15.0})
+        cell.cycles(1)
+        monkeypatch.setattr("robot_client.robots.abb_egm.driver.time", LATER)
+        cell.arm._timer.cancel()
+        cell.arm._watchdog()
         assert cell.codes == ["tracking"]
-        with pytest.raises(LimitError, match="takes no motion: tracking: strayed"):
-            cell.arm.move(HERE, "travel")
-        cell.cycles(60)
-        assert [type(event) for event in cell.events] == [Failure], "a standstill after it is nobody's answer"
+        with pytest.raises(LimitError, match="takes no motion: tracking"):
+            cell.arm.move(HERE, "retract")
 
     played(story)
 
-    def closing(cell):
-        cell.cycles(2)
-        cell.arm._closing = True
-        cell.here = HERE.model_copy(update={"y_mm": 15.0})
-        cell.cycles(60, motors_on=False)
-        assert cell.events == []
-        assert len(cell.wire.sent) == 62, "it is still answered with the frozen target"
 
-    played(closing)
+def test_while_an_arm_is_closed_it_takes_no_motion_and_the_end_of_its_stream_is_no_fault(monkeypatch):
+    """The controller may take seconds to confirm the stop, and is answered until then."""
+
+    async def run():
+        cell, confirmed = Controller(), asyncio.Event()
+        cell.cycles(2)
+        cell.wire.close = lambda: None
+        monkeypatch.setattr(asyncio.get_running_loop(), "remove_reader", lambda _: None)
+        cell.arm._stopping = asyncio.ensure_future(confirmed.wait())
+        closing = asyncio.ensure_future(cell.arm.close())
+        await asyncio.sleep(0)
+        with pytest.raises(LimitError, match="takes no motion: closed"):
+            cell.arm.move(HERE.at_height(40.0), "descend", cell.now_s + 5.0)
+        cell.cycles(5)
+        assert (len(cell.wire.sent), cell.arm.target()) == (7, HERE)
+        with monkeypatch.context() as later:
+            later.setattr("robot_client.robots.abb_egm.driver.time", LATER)
+            cell.arm._timer.cancel()
+            cell.arm._watchdog()
+        confirmed.set()
+        await closing
+        assert cell.events == []
+
+    asyncio.run(run())
 
 
 def test_the_stream_is_looked_at_four_times_within_the_silence_that_is_allowed():

@@ -70,9 +70,9 @@ def test_a_light_grip_that_only_shades_the_gel_is_a_new_picture():
     shade = 25.0 * np.exp(-np.square(v)[:, None] - np.square(u))[..., None]  # far too smooth for the grain
     for k in range(1, 6):
         picture = np.clip(renderer.raw(at_rest, 500 + k) + shade, 0, 255).astype(np.uint8)
-        seen = finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, picture))
-        assert (seen.bulge or 0.0) < 1.0
-        assert seen.field.usable
+        observation = finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, picture))
+        assert (observation.bulge or 0.0) < 1.0
+        assert observation.field.usable
 
 
 @pytest.mark.parametrize("pressed_mm", [(0.05, 0.06), (0.12, 0.16)])
