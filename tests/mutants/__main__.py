@@ -127,8 +127,8 @@ def mutants_page(report: dict) -> str:
 
         `make mutants` makes {report["count"]} random small changes (seed {report["seed"]}) to the modules that
         decide, claim, detect slip and move. Each mutant runs against the fast tests of its own room only. The
-        tests were written before the seed was drawn, so the figure is a fair sample; tests that the survivors
-        suggested came later.
+        tests were written before the seed was drawn, with samples of other seeds as a guide, so the figure is a
+        fair sample; tests that the survivors suggested came later.
 
         A mutation replaces a comparison by its opposite, an operator by its inverse, a truth value by the
         other, a whole number by the next one, or a constant by slightly more than one and a half times its

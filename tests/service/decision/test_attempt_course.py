@@ -13,7 +13,6 @@ from service.decision import attempt as under_test
 from service.decision.attempt import Attempt, Stage, WorkResult, implausible_width, nothing_held
 from service.decision.controllers import Command
 from service.decision.evidence import Evidence, Refusal
-from service.decision.network_input import Descent
 from service.decision.work import correction, decide_again, enough_message, latencies, plan_steps, plan_work
 from service.perception.markers.field import empty_field
 from service.perception.observation import PairObservation
@@ -282,14 +281,3 @@ def test_networks_beside_refuse_for_the_same_reason_where_no_depth_was_read(prob
     shown: Any = None if problem is None else SimpleNamespace(problem=problem)
     with pytest.raises(Refusal, match="too fast" if problem else "no step of depth was shown"):
         decide_again(models, descent(descent=shown))
-
-
-def test_a_press_is_as_long_as_asked_and_as_the_gel_sticks_but_never_shorter_than_four_steps() -> None:
-    pressing: Any = SimpleNamespace(steps_n=12, step_mm=0.1, lattice=None)
-    frame = SimpleNamespace(width_px=10, height_px=10)
-    card: Any = SimpleNamespace(pressing=pressing, frame=frame, profile=SimpleNamespace(mm_per_px=0.1))
-    cases = [(0.8, None, 8), (0.8, 0.3, 6), (0.8, 0.45, 8), (0.8, 0.1, 4), (0.2, None, 4), (3.0, None, 12)]
-    for press_mm, reach_mm, steps_n in cases:
-        assert Descent(card, {"shear_reach_mm": reach_mm}, press_mm).worth_n == steps_n
-    still = Descent(card, {"shear_reach_mm": 0.1}, 0.8, until_slip=True)
-    assert (still.worth_n, still.enough, still.felt, still.pressed_mm) == (20, False, False, 0.0)

@@ -170,3 +170,14 @@ def test_the_detector_tells_a_gel_that_slid_from_one_that_held(hold_px, least_de
 def turning(step_deg, k, rest):
     """The motion of an object that turns by 4 deg in 20 frames."""
     return twist(rest, step_deg * k) - rest
+
+
+@pytest.mark.parametrize(("markers_n", "shows"), [(3, False), (4, True)])
+def test_a_finger_on_which_too_few_markers_move_shows_no_turn_of_its_own(markers_n, shows):
+    """The other one shows 0.8 deg: both together half of it, or all of it where this one shows it, too."""
+    both = hanging(0.8)
+    moved = both.right.field.displacement_px.copy()
+    farthest = np.argsort(np.hypot(*np.moveaxis(moved, -1, 0)), axis=None)[:-markers_n]
+    moved.reshape(-1, 2)[farthest] = 0.0
+    bare = replace(both, right=replace(both.right, field=replace(both.right.field, displacement_px=moved)))
+    assert bool(hangs_turned(bare, 0.0)) == shows

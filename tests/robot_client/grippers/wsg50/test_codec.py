@@ -175,3 +175,11 @@ def test_the_protocols_numbers_stay_as_they_are(table):
 def test_a_state_is_a_fault_where_the_manual_says_that_it_stops_the_fingers(bit):
     names = {"FAST_STOP", "TEMP_FAULT", "POWER_FAULT", "CURRENT_FAULT", "FINGER_FAULT"}
     assert bool(bit & codes.FAULT_BITS) == (bit.name in names)
+
+
+def test_an_id_is_one_byte_and_a_payload_no_longer_than_a_frame_holds():
+    for command, payload in ((0, b""), (255, bytes(codec.MAX_PAYLOAD_BYTES))):
+        codec.encode_frame(command, payload)
+    for command, payload in ((-1, b""), (256, b""), (1, bytes(codec.MAX_PAYLOAD_BYTES + 1))):
+        with pytest.raises(codec.WsgError, match="frame id"):
+            codec.encode_frame(command, payload)

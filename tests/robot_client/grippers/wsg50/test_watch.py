@@ -1,5 +1,7 @@
 """The watch over a grasp is kept alive by the grasping state itself, not by other messages of the gripper."""
 
+import asyncio
+
 import pytest
 
 from robot_client.grippers.wsg50 import codec, driver
@@ -30,3 +32,17 @@ def test_frames_without_a_grasping_state_are_silence(clock, frame):
         receives(gripper, *frame)
         silent_s = gripper._silence.over(clock.now_s)
     assert silent_s == pytest.approx(1.0)
+
+
+def test_the_state_is_looked_at_four_times_within_the_silence_that_is_allowed(clock, monkeypatch):
+    gripper, waits_s = Wsg50(Settings(silence_s=0.8)), []
+
+    async def sleep(wait_s):
+        waits_s.append(wait_s)
+        if len(waits_s) > 3:
+            raise asyncio.CancelledError
+
+    monkeypatch.setattr(driver.asyncio, "sleep", sleep)
+    with pytest.raises(asyncio.CancelledError):
+        asyncio.run(gripper._watch())
+    assert waits_s == [pytest.approx(0.2)] * 4

@@ -243,3 +243,15 @@ def test_a_robot_named_in_the_settings_is_the_one_that_is_guided_whatever_the_ad
             await arm.rws._client.aclose()
 
     asyncio.run(story())
+
+
+def test_the_worst_times_of_an_answer_and_of_a_hold_are_told_in_microseconds(monkeypatch):
+    """On a clock that goes on by 150 us, 40 us and 90 us between what is measured."""
+    ticks_ns = iter([10**9, 10**9 + 150_000, 2 * 10**9, 2 * 10**9 + 40_000, 3 * 10**9, 3 * 10**9 + 90_000])
+    monkeypatch.setattr("robot_client.robots.abb_egm.driver.time.perf_counter_ns", lambda: next(ticks_ns))
+    arm = listening((datagram(1), ROBOT))
+    arm._on_readable()
+    arm._socket.waiting = [(datagram(2), ROBOT)]
+    arm._on_readable()
+    arm.hold("slip", stop=False)
+    assert (arm.statistics()["worst_reply_us"], arm.statistics()["worst_hold_us"]) == (150, 90)

@@ -187,3 +187,18 @@ def test_an_insertion_runs_live_with_either_generation(omnicore):
     state, running = story_of(work, omnicore=omnicore)
     assert state.phase is Phase.INSERTED, state.reason
     assert not running
+
+
+@pytest.mark.parametrize(
+    ("challenge", "media", "generations"),
+    [
+        ("Basic", "text/html", [False, True]),
+        ("Digest", "text/html", [True, False]),
+        ("Bearer", "application/hal+json;v=2.0", [False, True]),
+        (None, "application/hal+json;v=2.0", [False, False]),
+        (None, "text/html", [False, False]),
+    ],
+)
+def test_a_generation_shows_by_the_password_that_it_asks_for(challenge, media, generations):
+    head = {"content-type": media} | ({} if challenge is None else {"www-authenticate": f'{challenge} realm="r"'})
+    assert [one.answered(httpx.Response(401, headers=head)) for one in (RWS1, RWS2)] == generations

@@ -9,7 +9,7 @@ from service.perception.markers.field import empty_field
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.slip.detector import SlipDetector
 from service.perception.slip.grasp import GraspWatch
-from service.perception.slip.open_gel import WEIGHT_PITCH, OpenGel
+from service.perception.slip.open_gel import WEIGHT_PITCH, OpenGel, shrunk
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.worlds import load_scene, object_names
@@ -97,3 +97,15 @@ def test_a_weight_is_what_all_markers_hang_down_by_from_where_they_were():
     assert down == pytest.approx(expected, rel=0.2)
     assert up == pytest.approx(-expected, rel=0.2)
     assert gel.weight(empty_field(FRAME_NS, "lost", "no marker")) is None
+
+
+@pytest.mark.parametrize("learnt", [False, True])
+def test_without_a_picture_now_or_then_a_touch_is_what_the_markers_show(learnt):
+    rng, points = np.random.default_rng(4), grid(jitter=0.0)
+    pictures = [draw(points, rng), draw(bulged(points, 1.5), rng)]
+    tracker, gel = MarkerTracker(), OpenGel()
+    fields = [tracker.update(picture, k * FRAME_NS) for k, picture in enumerate(pictures)]
+    gel.learn(fields[0], shrunk(pictures[0]) if learnt else None)
+    shown = None if learnt else shrunk(pictures[1])
+    assert gel.touch(fields[1], shown) == gel.bulge(fields[1])
+    assert gel.touch(fields[1], shown) > 1.0
