@@ -24,6 +24,7 @@ BLIND_S = 0.25  # the longest part of a descent without a pair that shows the ge
 BLIND_MM = 2.5  # or the travel in which a slow arm may take longer
 SLID_MM = 0.8  # beyond this slide of the object, nothing shows how far it turned
 LATE_S = 0.075  # possible delay of pictures: the object slides as the arm turns it before a picture shows it
+ALL_LATE_MM = 0.95  # travel within that delay in all attempts with a grasp, added in squares
 PRESSED_MM = 5.0  # beyond this press, a gel does not reliably bring its object back
 
 
@@ -32,20 +33,22 @@ class GraspRecord:
     """Evidence about this grasp from the attempts so far.
 
     ``width_mm`` is the gripper's at the first arming. ``blocked_pitch``: the strongest push on the gels in the blocked
-    attempts, marker pitches. ``pressed_mm``: the longest press of a blocked attempt after its contact. ``turn``: the
-    turn left by those attempts.
+    attempts, marker pitches. ``pressed_mm``: the longest press of a blocked attempt after its contact. ``late_mm``: the
+    travel in all of them that late pictures may have hidden, added in squares. ``turn``: the turn left by them.
     """
 
     width_mm: float | None = None
     blocked_pitch: float = 0.0
     pressed_mm: float = 0.0
+    late_mm: float = 0.0
     turn: LastingTurn = field(default_factory=LastingTurn)
 
     def blocked(self, attempt: Attempt) -> None:
         self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
         self.pressed_mm = max(self.pressed_mm, pressed_mm(attempt))
         late_mm = LATE_S * max(attempt.speed_mm_s or 0.0, went_mm_s(attempt))
-        followed = late_mm + slid_mm(attempt) <= SLID_MM
+        self.late_mm = math.hypot(self.late_mm, late_mm)
+        followed = late_mm + slid_mm(attempt) <= SLID_MM and self.late_mm <= ALL_LATE_MM
         self.turn.pressed(attempt.ring[-1] if attempt.ring and followed else None)
 
 

@@ -200,6 +200,18 @@ def test_what_an_arm_turns_before_a_picture_shows_it_counts_to_what_slid(
     assert math.isfinite(grasp.turn.deg) == known
 
 
+@pytest.mark.parametrize(("slower", "known_n"), [(1.0, 1), (1.2, 2), (1.4, 3), (2.0, 6)])
+def test_what_late_pictures_may_hide_adds_up_over_the_attempts_with_a_grasp(slower: float, known_n: int) -> None:
+    """Squares of 75 ms at 10 mm/s, or at a share of that speed."""
+    attempt = blocked(0.5, 2.0, 240.0)
+    assert attempt.stopped_ns is not None
+    attempt, grasp, known = replace(attempt, depth_mm=attempt.depth_mm / slower), GraspRecord(50.0), list[bool]()
+    for _ in range(7):
+        grasp.blocked(attempt)
+        known.append(math.isfinite(grasp.turn.deg))
+    assert known == [True] * known_n + [False] * (7 - known_n)
+
+
 def test_a_grasp_remembers_its_strongest_push_and_its_furthest_press() -> None:
     grasp = GraspRecord(50.0)
     blocked = descent(depth_mm=8.0, onset_ns=FRAMES * PERIOD_NS // 2)
