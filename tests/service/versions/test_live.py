@@ -93,6 +93,7 @@ def test_both_answer_to_the_same_attempt_and_the_record_holds_both(tmp_path: Pat
         assert main(["replay", str(path), "--models", str(where)]) == 0  # bit for bit: nothing beside it moved the arm
 
 
+@pytest.mark.slow
 def test_the_better_one_decides_the_next_insertion_also_after_a_restart_and_a_worse_one_goes(tmp_path: Path) -> None:
     models, shadow = tiny_models.write_models(tmp_path / "models"), write_shadow(tmp_path / "shadow")
     with live_service(tmp_path, models, shadow=shadow) as cell:
