@@ -1,4 +1,4 @@
-"""When a hand counts as empty, and which frames and ages belong to a pair; on made-up observations."""
+"""When a hand counts as empty, which frames and ages belong to a pair, and what is told of the gels."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,9 +10,10 @@ import pytest
 
 from service.contract import FramePair, TactileFrame
 from service.decision.attempt import Attempt, Stage
+from service.perception.markers.field import empty_field
 from service.perception.observation import Observation, PairObservation
-from service.session.fingers import Fingers
-from tests.service.decision.test_claim import descent, observation
+from service.session.fingers import Fingers, gels_of
+from tests.service.decision.test_claim import descent, observation, pair
 
 Felt = tuple[float | None, float | None]  # bulge and touch of a finger
 HELD, EMPTY = (6.0, 6.0), (0.1, 0.1)
@@ -156,3 +157,19 @@ def test_slip_that_the_markers_show_is_told_by_them() -> None:
     one = Fingers(watch, watch)
     one._witness = SimpleNamespace(update=lambda _imprints: 0.7)  # type: ignore[assignment]
     assert one.observe(frame("left", 0, 0)).slip.reason == "the rim lags"
+
+
+def test_the_summary_tells_the_gel_that_is_stranger_and_the_finger_that_shows_fewer_markers() -> None:
+    watches: Any = [SimpleNamespace(gel_distance=distance) for distance in (None, None)]
+    assert gels_of(tuple(watches), None) == {}
+    watches[1].gel_distance = 0.123456
+    assert gels_of(tuple(watches), descent(reference=None)) == {"gel_distance": 0.1235}
+    watches[0].gel_distance = 0.2
+    both = pair()
+    valid = np.arange(both.left.field.valid.size).reshape(both.left.field.valid.shape) >= 100
+    left = replace(both.left, image=np.full((2, 3, 3), 100, np.uint8), field=replace(both.left.field, valid=valid))
+    right = replace(both.right, image=np.array([[[1, 1, 2]]], np.uint8))
+    facts = gels_of(tuple(watches), descent(reference=PairObservation(left, right)))
+    assert facts == {"gel_distance": 0.2, "markers_share": 0.7619, "brightness_grey": 50.67}
+    unseen = replace(right, field=empty_field(0, "no_grid", "no markers"))
+    assert gels_of((), descent(reference=PairObservation(left, unseen)))["markers_share"] == 0.0
