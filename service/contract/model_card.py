@@ -16,7 +16,6 @@ from service.contract.frames import Contract, ContractError, FrameSpec, first_er
 from service.contract.sensor import MarkerSpec, Sensor
 
 CARD_KEY = "tactile_insertion.card"
-BEYOND = 0.05  # share by which a condition may exceed the extremes that training happened to draw
 UNTRAINED = "untrained"  # in ``training_run``: why an exported network is no better than guessing
 
 Sign = Literal[-1, 0, 1]
@@ -96,11 +95,11 @@ class Pressing(Contract):
     def outside(self, conditions: Mapping[str, float | None]) -> str:
         """Which condition lies outside the network's training range, as a sentence; empty if none does.
 
-        An unstated condition is not outside, nor is one beyond the extremes by `BEYOND`; a non-finite one is.
+        An unstated condition is not outside; a non-finite one is.
         """
         for name, span in self.trained.items():
             value = conditions.get(name)
-            if value is not None and not (1.0 - BEYOND) * span.low <= value <= (1.0 + BEYOND) * span.high:
+            if value is not None and not span.low <= value <= span.high:
                 return f"{name} is {value:g}, the networks were trained on {span.low:g} to {span.high:g}"
         return ""
 
