@@ -1,6 +1,7 @@
-"""How long an answer is waited for, and the times it states; on a clock that the test sets."""
+"""When an attempt is answered and how, on a clock of the test's own."""
 
 import itertools
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -9,89 +10,152 @@ import numpy as np
 import pytest
 
 from service.contract import wire
-from service.decision.controllers import make_controller
+from service.decision.attempt import Attempt, Stage, WorkResult
+from service.decision.consistency import Consistency
+from service.decision.controllers import Heuristic
 from service.decision.evidence import Evidence, Refusal
+from service.decision.seating import Push
 from service.perception.observation import PairObservation
 from service.session.decider import Decider
 from service.settings import Deadlines
 from tests.service import tiny_models
-from tests.service.decision.test_claim import FRAMES, PERIOD_NS, descent, pair
-from tests.service.decision.toy_loop import LIMITS
+from tests.service.decision.test_claim import descent, pair
 
-STOPPED_NS = FRAMES * PERIOD_NS
-MS = 1_000_000
+LIMITS = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=500.0)
+STOPPED_NS = 50_000_000_000
+MS, S = 1_000_000, 1_000_000_000
+SURE = np.array([0.92 if entry.name == "5" else 0.01 for entry in tiny_models.CLASSES])
+EVIDENCE = Evidence(tiny_models.CLASSES, SURE, (6.0, 8.0), (1.0, 1.5))
 
 
-def decider() -> Decider:
+def decider(**changes: Any) -> Decider:
     card = tiny_models.card("direction", "step")
     models: Any = SimpleNamespace(card=card, steps=[SimpleNamespace(card=card)])
-    return Decider("one", models, make_controller("heuristic", LIMITS), Deadlines(), consistency=None)
+    return Decider("one", models, Heuristic(LIMITS), Deadlines(), **changes)
 
 
-@pytest.mark.parametrize(("waited_ms", "doubted"), [(0, None), (2000, None), (2001, ["not_seen"])])
-def test_a_claim_waits_as_long_for_its_last_pair_as_a_decision_for_its_frames(
-    waited_ms: int, doubted: list[str] | None
-) -> None:
-    blind = descent(pushes=[])
-    doubts = decider().doubts(blind, STOPPED_NS + waited_ms * MS, 500.0)
-    assert (doubts and [doubt.reason for doubt in doubts]) == doubted
+def pair_at(captured_ns: int) -> PairObservation:
+    both = pair()
+    return PairObservation(replace(both.left, captured_ns=captured_ns), replace(both.right, captured_ns=captured_ns))
 
 
-@pytest.mark.parametrize(("age_ms", "waits"), [(499, False), (501, True)])
-def test_a_claim_rests_on_a_pair_no_older_than_is_allowed(age_ms: int, waits: bool) -> None:
-    attempt = descent()
+def blocked(evidence: Evidence | None = EVIDENCE, refusal: Refusal | None = None, **changes: Any) -> Attempt:
+    """An attempt that stopped at `STOPPED_NS`, its networks' answer, and its pairs, the newest 12.5 ms before."""
+    result = WorkResult(1, 1, evidence, refusal, {"networks_last_step": 3.0})
+    pairs = [pair_at(STOPPED_NS - age_ns) for age_ns in (90 * MS, 50 * MS, 12_500_000)]
+    usual = {"outcome": "blocked", "stopped_ns": STOPPED_NS, "result": result, "decision_pairs": pairs}
+    return descent(**usual | changes)
+
+
+def full_depth(newest_ns: int, **changes: Any) -> Attempt:
+    """An attempt at full depth, to which the newest pair that shows the gels' load is so new."""
+    pushes = [Push(newest_ns - back * 33 * MS, 0.0, 0.0) for back in range(60, -1, -1)]
+    began_ns = newest_ns - 2 * S
+    return descent(pushes=pushes, descending_ns=began_ns, stopped_ns=STOPPED_NS, **changes)
+
+
+@pytest.mark.parametrize(("age_ms", "new_enough"), [(149.0, True), (151.0, False)])
+def test_full_depth_is_judged_by_a_pair_no_older_than_is_allowed_in_a_descent(age_ms: float, new_enough: bool) -> None:
     one = decider()
     one.grasp.width_mm = 50.0
-    newest_ns = attempt.pushes[-1].captured_ns
-    assert one.doubts(attempt, newest_ns + age_ms * MS, 500.0) == (None if waits else ())
+    doubts = one.doubts(full_depth(STOPPED_NS), STOPPED_NS + round(age_ms * MS), 150.0)
+    assert doubts == (() if new_enough else None)
 
 
-def evidence() -> Evidence:
-    probabilities = np.full(9, 0.01)
-    probabilities[1] = 0.92
-    return Evidence(tiny_models.CLASSES, probabilities, (4.0, 0.0), (1.0, 1.0))
+def test_full_depth_that_nobody_saw_is_doubted_two_seconds_after_the_arm_stood_and_not_before() -> None:
+    one, attempt = decider(), full_depth(STOPPED_NS - 3 * S)
+    assert one.doubts(attempt, STOPPED_NS + 1999 * MS, 150.0) is None
+    (doubt,) = one.doubts(attempt, STOPPED_NS + 2001 * MS, 150.0) or ()
+    assert (doubt.reason, doubt.detail) == ("not_seen", "no pair showed within 2.0 s what the gels carry at full depth")
 
 
-def test_a_correction_states_what_the_controller_and_the_way_since_the_last_frame_took(
+def test_an_answer_says_how_long_it_took_in_milliseconds_and_how_old_its_newest_pair_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    clock = itertools.count(1.0, 0.25)
-    monkeypatch.setattr("service.session.decider.time", SimpleNamespace(perf_counter=lambda: next(clock)))
-    last = PairObservation(*(replace(finger, captured_ns=10_000_000) for finger in pair().fingers))
-    attempt = descent(outcome="blocked", decision_pairs=[pair(), last])
-    attempt.result = SimpleNamespace(evidence=evidence(), refusal=None, latency_ms={"networks_last_step": 3.0})
+    ticks_s = itertools.count(100.0, 0.004)
+    monkeypatch.setattr("service.session.decider.time.perf_counter", lambda: next(ticks_s))
     one = decider()
-    correction = one.conclude(attempt, 57_500_000)
-    assert isinstance(correction, wire.Correction)
-    assert correction.latency_ms == {"networks_last_step": 3.0, "controller": 250.0, "since_last_frame": 47.5}
+    answer = one.conclude(blocked(), STOPPED_NS + 30 * MS)
+    assert isinstance(answer, wire.Correction)
+    assert answer.latency_ms == pytest.approx({"networks_last_step": 3.0, "controller": 4.0, "since_last_frame": 42.5})
     assert one.command is not None
-    assert (one.command.dx_mm, one.command.dtheta_deg) == (correction.dx_mm, correction.dtheta_deg)
+    assert (
+        (answer.dx_mm, answer.dtheta_deg) == (one.command.dx_mm, one.command.dtheta_deg) == pytest.approx((-4.2, -5.6))
+    )
+
+
+def test_an_attempt_is_answered_once_it_stands_and_its_networks_have_answered() -> None:
+    for attempt in (blocked(stage=Stage.ARMED, stopped_ns=None), blocked(result=None, fed=True)):
+        one = decider()
+        assert one.conclude(attempt, STOPPED_NS + 9999 * MS) is None
+        assert (one.command, one.grasp.pressed_mm) == (None, 0.0)
+        assert math.isfinite(one.grasp.turn.deg), "an attempt without an answer has left nothing behind yet"
+
+
+@pytest.mark.parametrize(
+    ("attempt", "reason", "detail"),
+    [
+        (blocked(broken="left is gone"), "stale", "a camera failed during the attempt: left is gone"),
+        (blocked(None, Refusal("no_motion", "nothing moved")), "no_motion", "nothing moved"),
+        (blocked(None, None), "non_finite", "no evidence"),
+        (blocked(result=None, fed=True), "stale", "the networks took longer than 10 s"),
+    ],
+)
+def test_an_attempt_that_cannot_be_trusted_is_answered_with_the_reason_and_moves_nothing(
+    attempt: Attempt, reason: str, detail: str
+) -> None:
+    one = decider()
+    one.conclude(blocked(), STOPPED_NS + MS)
+    answer = one.conclude(attempt, STOPPED_NS + 10_001 * MS)
+    assert isinstance(answer, wire.NoDecision)
+    assert (answer.insertion_id, answer.attempt, answer.reason, answer.detail) == ("one", 1, reason, detail)
+    assert one.command is None, "the last move is none of this attempt's"
+
+
+def test_answered_attempts_are_what_the_next_claim_is_checked_against() -> None:
+    one = decider()
+    attempt = blocked(onset_ns=STOPPED_NS - S // 2, descending_ns=STOPPED_NS - 2 * S, depth_mm=10.0)
+    attempt.pushes.append(Push(STOPPED_NS, 0.3, 0.4))
+    one.conclude(attempt, STOPPED_NS + MS)
+    assert (one.grasp.pressed_mm, one.grasp.blocked_pitch) == (pytest.approx(2.5), 0.4)
+    again = one.afresh("two")
+    assert (again.insertion_id, again.command, again.grasp.blocked_pitch) == ("two", None, 0.0)
+    assert (again.controller, again.consistency) == (one.controller, one.consistency)
+
+
+@pytest.mark.parametrize("followed", [True, False])
+def test_a_mirrored_picture_is_noticed_in_the_newest_pair_unless_others_move_the_arm(followed: bool) -> None:
+    """Both fingers see the object turn to the same side, once in the newest pair and never before it."""
+    one = decider(consistency=Consistency() if followed else None)
+    attempt = blocked()
+    attempt.ring.clear()
+    attempt.ring.extend([pair_at(STOPPED_NS - 50 * MS), pair_at(STOPPED_NS - 40 * MS), mirrored()])
+    answer = one.conclude(attempt, STOPPED_NS + MS)
+    assert answer is not None
+    assert answer.type == ("no_decision" if followed else "correction")
+    if isinstance(answer, wire.NoDecision):
+        assert (answer.reason, one.command) == ("contradictory", None)
+
+
+def mirrored() -> PairObservation:
+    fingers = [replace(one, slip=replace(one.slip, angle_rad=math.radians(3.0))) for one in pair_at(STOPPED_NS).fingers]
+    return PairObservation(*fingers)
+
+
+def test_networks_that_were_not_trained_for_this_cell_refuse_before_the_descent() -> None:
+    one, arm = decider(), blocked(stage=Stage.ARMING)
+    assert one.before_descending(arm) == []
+    trained: Any = SimpleNamespace(outside=lambda stated: f"trained on another gap than {stated['gap_width_mm']:g} mm")
+    card: Any = SimpleNamespace(pressing=trained)
+    one.models = SimpleNamespace(card=card)  # type: ignore[assignment]
+    (refused,) = one.before_descending(arm)
+    assert (refused.reason, refused.detail) == ("untrained", "trained on another gap than 56 mm")
+    assert arm.stage is Stage.DECIDED
+    trained.outside = lambda _: ""
+    assert one.before_descending(blocked(stage=Stage.ARMING)) == []
 
 
 @pytest.mark.parametrize(("waited_ms", "reason"), [(0, None), (2000, None), (2001, "no_motion")])
 def test_a_decision_is_waited_for_from_the_stop_on(waited_ms: int, reason: str | None) -> None:
-    answer = decider().conclude(descent(outcome="blocked"), STOPPED_NS + waited_ms * MS)
-    assert (answer and answer.reason) == reason
-
-
-def test_a_correction_is_compared_with_the_turn_that_the_newest_pair_shows() -> None:
-    compared = list[PairObservation]()
-    one = decider()
-    one.consistency = SimpleNamespace(add=lambda _decided, pair: compared.append(pair))
-    attempt = descent(outcome="blocked", decision_pairs=[pair()])
-    attempt.ring.extend([pair(), pair(turn_rad=0.01)])
-    attempt.result = SimpleNamespace(evidence=evidence(), refusal=None, latency_ms={})
-    one.conclude(attempt, STOPPED_NS)
-    assert compared == [attempt.ring[-1]]
-
-
-def test_what_contradicts_earlier_corrections_moves_nothing() -> None:
-    def contradicted(_decided: object, _pair: object) -> None:
-        raise Refusal("out_of_distribution", "the arm moves the wrong way")
-
-    one = decider()
-    one.consistency = SimpleNamespace(add=contradicted)
-    attempt = descent(outcome="blocked", decision_pairs=[pair()])
-    attempt.result = SimpleNamespace(evidence=evidence(), refusal=None, latency_ms={})
-    answer = one.conclude(attempt, STOPPED_NS)
-    assert (answer.type, answer.detail, one.command) == ("no_decision", "the arm moves the wrong way", None)
+    answer = decider().conclude(descent(outcome="blocked", stopped_ns=STOPPED_NS), STOPPED_NS + waited_ms * MS)
+    assert (answer and answer.reason) == reason  # type: ignore[union-attr]
