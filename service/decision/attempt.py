@@ -126,7 +126,9 @@ class Attempt:
         """While arming, a frame that cannot be read is no reference: the finger's next frame is tried."""
         if self.stage is Stage.ARMING and not observation.field.usable:
             self.rearmed.discard(observation.finger)
-            self.problem = f"{observation.finger}: {observation.field.reason or observation.field.status}"
+            why = f"{observation.finger}: {observation.field.reason or observation.field.status}"
+            others = [one for one in self.problem.split("; ") if one and not one.startswith(observation.finger)]
+            self.problem = "; ".join([*others, why])
 
     def take_reference(self, both: PairObservation) -> Armed | Refused | None:
         """Arm with this pair if both fingers are rearmed and readable; else store the problem and return None.

@@ -75,6 +75,10 @@ def test_a_frame_that_cannot_be_read_is_no_reference_and_slip_is_counted_anew_fr
     attempt.unread(replace(dark, field=replace(dark.field, status="no_grid", reason="")))
     attempt.unread(at("right", 1000))
     assert attempt.problem == "left: no_grid"
+    both_dark = ready()
+    for finger in ("left", "right", "left"):
+        both_dark.unread(replace(at(finger, 1000), field=replace(dark.field, status="no_grid", reason="")))
+    assert both_dark.problem == "right: no_grid; left: no_grid"
     assert attempt.take_reference(both(1005, 1000)) is None, "left has no reference"
     assert rearmed(attempt, frame("left", 1010), frame("right", 1010)) == [1010]
     assert isinstance(attempt.take_reference(both(1010, 1010)), wire.Armed)

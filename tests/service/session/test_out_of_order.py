@@ -10,7 +10,7 @@ from service.decision.evidence import Refusal
 from service.session.state_machine import InsertionSession
 from tests.service.decision.test_claim import PERIOD_NS
 from tests.service.session.at_rest import ID, PIXELS, S, arm, at_rest, descends, is_out_of_order, shows, stops
-from tests.service.session.test_decider import evidence
+from tests.service.session.test_decider import EVIDENCE
 
 
 @pytest.fixture
@@ -187,7 +187,7 @@ def test_a_correction_is_commanded_once_and_a_refusal_never(session: InsertionSe
     shows(session, 0)
     assert session.attempt is not None
     session.attempt.decision_pairs = [*session.attempt.ring]
-    session.on_result(WorkResult(1, 1, evidence(), None, {}), 0)
+    session.on_result(WorkResult(1, 1, EVIDENCE, None, {}), 0)
     assert commanded == [], "the arm still moves"
     (correction,) = stops(session)
     assert stops(session) == [correction]
