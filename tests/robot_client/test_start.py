@@ -77,7 +77,9 @@ PHASES = {
 }
 
 
-def _still(cell):
+async def _still(cell):
+    while not cell.trace:  # refused before the controller's first cycle
+        await asyncio.sleep(0.004)
     assert len({pose.position_mm for _, _, pose in cell.trace}) == 1, "the arm moved"
 
 
@@ -88,7 +90,7 @@ async def _refused(prepare, overrides):
             prepare(cell)
         with pytest.raises(DriverError) as refusal:
             await cell.insert()
-        _still(cell)
+        await _still(cell)
         return str(refusal.value), cell.cabinet.running
 
 
@@ -97,7 +99,7 @@ async def _failed(prepare, holding):
     async with bench(holding=holding, overrides=PATIENT) as cell:
         prepare(cell)
         state = await cell.insert()
-        _still(cell)
+        await _still(cell)
         return state
 
 
@@ -161,7 +163,7 @@ def test_a_foreign_host_is_not_guided():
             with pytest.raises(DriverError, match=r"datagrams came, none from 127\.0\.0\.9"):
                 await cell.insert()
             assert cell.egm.counters.received == 0
-            _still(cell)
+            await _still(cell)
 
     asyncio.run(story())
 
