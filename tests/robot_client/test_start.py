@@ -78,7 +78,7 @@ PHASES = {
 
 
 async def _still(cell):
-    while not cell.trace:  # refused before the controller's first cycle
+    while not cell.trace:  # noqa: ASYNC110 refused before the emulator's first cycle
         await asyncio.sleep(0.004)
     assert len({pose.position_mm for _, _, pose in cell.trace}) == 1, "the arm moved"
 
