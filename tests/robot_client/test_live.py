@@ -11,7 +11,7 @@ from robot_client.insertion.state import Phase
 from robot_client.session.replay import replay
 from robot_client.session.telemetry import BATCH_N
 from service.contract import wire
-from tests.robot_client.live_cell import bench
+from tests.robot_client.live_cell import bench, undisturbed
 
 
 def run(coroutine):
@@ -43,7 +43,7 @@ def inserted(request, tmp_path_factory):
     The service repeats each correction twice.
     """
     folder = tmp_path_factory.mktemp("episode")
-    cell, state = run(_insert(folder, lag_ms=request.param, holding=False))
+    cell, state = undisturbed(lambda: _insert(folder, lag_ms=request.param, holding=False))
     assert state.phase is Phase.INSERTED, state.reason
     return cell, state, folder / "episode.jsonl", request.param
 

@@ -18,7 +18,7 @@ from simulation.cell.emulators.abb.motion import Follower, Pose, tool_down
 from simulation.cell.emulators.abb.rapid import REACTION_S, RapidServers
 from simulation.cell.emulators.faults import FaultBoard
 from simulation.cell.emulators.net import bind_tcp
-from tests.robot_client.live_cell import bench
+from tests.robot_client.live_cell import bench, undisturbed
 
 
 def pose(x=5.0, z=45.0, yaw=0.0):
@@ -198,12 +198,12 @@ def test_what_the_modules_refuse_is_refused_by_their_emulation():
 def test_an_insertion_runs_over_the_sockets_from_program_start_to_program_stop(tmp_path):
     async def story():
         async with bench(device="abb_rapid") as cell:
-            state = await cell.insert(log=tmp_path / "log.jsonl")
-            assert state.phase is Phase.INSERTED, state.reason
-            assert state.attempt == 2
-            assert cell.runner.farewell.startswith("controller confirms")
-            assert not cell.cabinet.running
-            assert cell.egm.counters.received == 0
-            assert cell.report.rows[0].overtravel_mm < 10.0 * (REACTION_S + 0.06)
+            return cell, await cell.insert(log=tmp_path / "log.jsonl")
 
-    asyncio.run(asyncio.wait_for(story(), 90.0))
+    cell, state = undisturbed(story)
+    assert state.phase is Phase.INSERTED, state.reason
+    assert state.attempt == 2
+    assert cell.runner.farewell.startswith("controller confirms")
+    assert not cell.cabinet.running
+    assert cell.egm.counters.received == 0
+    assert cell.report.rows[0].overtravel_mm < 10.0 * (REACTION_S + 0.06)
