@@ -28,7 +28,7 @@ from tests.robot_client.cycle_cell import (
     turned,
 )
 from tests.robot_client.insertion.stories import RAMPS
-from tests.robot_client.live_cell import bench
+from tests.robot_client.live_cell import bench, undisturbed
 
 
 def fastest_mm_s(trace, seconds=1.0):
@@ -47,9 +47,9 @@ def test_parts_are_picked_inserted_and_let_go_in_order(parts_n):
         async with cell_with(seed=10) as (cell, part):  # the first goes in at once, the second needs a correction
             lines = []
             count = await cycle_of(cell, lines).run(parts_n)
-            return count, part.left, lines, cell.trace, cell.gripper.width_mm
+            return count, part.left, lines, cell.trace
 
-    count, left, lines, trace, _ = run(work)
+    count, left, lines, trace = undisturbed(work, 110.0)
     assert count.inserted_n == parts_n
     assert [is_in(one) for one in left] == [True] * parts_n
     assert lines[-1].endswith(f"{parts_n} inserted")

@@ -18,9 +18,8 @@ def run(coroutine):
     return asyncio.run(asyncio.wait_for(coroutine, 60.0))
 
 
-async def _insert(tmp_path=None, lag_ms=20.0, **options):
-    log = tmp_path / "episode.jsonl" if tmp_path else None
-    async with bench(lag_ms=lag_ms, **options) as cell:
+async def _insert(log, **options):
+    async with bench(**options) as cell:
         cell.heard = []
 
         def listen(message):
@@ -42,10 +41,14 @@ def inserted(request, tmp_path_factory):
 
     The service repeats each correction twice.
     """
-    folder = tmp_path_factory.mktemp("episode")
-    cell, state = undisturbed(lambda: _insert(folder, lag_ms=request.param, holding=False))
-    assert state.phase is Phase.INSERTED, state.reason
-    return cell, state, folder / "episode.jsonl", request.param
+
+    async def story():
+        log = tmp_path_factory.mktemp("episode") / "episode.jsonl"
+        cell, state = await _insert(log, lag_ms=request.param, holding=False)
+        assert state.phase is Phase.INSERTED, state.reason
+        return cell, state, log, request.param
+
+    return undisturbed(story)
 
 
 def test_it_inserts_over_the_real_protocols_and_leaves_the_controller_stopped(inserted):

@@ -195,15 +195,15 @@ def test_what_the_modules_refuse_is_refused_by_their_emulation():
     asyncio.run(story())
 
 
-def test_an_insertion_runs_over_the_sockets_from_program_start_to_program_stop(tmp_path):
+def test_an_insertion_runs_over_the_sockets_from_program_start_to_program_stop():
     async def story():
         async with bench(device="abb_rapid") as cell:
-            return cell, await cell.insert(log=tmp_path / "log.jsonl")
+            state = await cell.insert()
+            assert state.phase is Phase.INSERTED, state.reason
+            assert state.attempt == 2
+            assert cell.runner.farewell.startswith("controller confirms")
+            assert not cell.cabinet.running
+            assert cell.egm.counters.received == 0
+            assert cell.report.rows[0].overtravel_mm < 10.0 * (REACTION_S + 0.06)
 
-    cell, state = undisturbed(story)
-    assert state.phase is Phase.INSERTED, state.reason
-    assert state.attempt == 2
-    assert cell.runner.farewell.startswith("controller confirms")
-    assert not cell.cabinet.running
-    assert cell.egm.counters.received == 0
-    assert cell.report.rows[0].overtravel_mm < 10.0 * (REACTION_S + 0.06)
+    undisturbed(story)
