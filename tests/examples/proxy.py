@@ -4,6 +4,7 @@ import contextlib
 import socket
 import threading
 import time
+from collections.abc import Callable
 
 
 class Proxy:
@@ -16,9 +17,10 @@ class Proxy:
         self._ended = self._drips = False
         self._sockets: list[socket.socket] = []
         self._clients: list[socket.socket] = []
+        self._threads: list[threading.Thread] = []
         self._listening = socket.create_server(("127.0.0.1", 0))
         self.port = self._listening.getsockname()[1]
-        threading.Thread(target=self._accept, daemon=True).start()
+        self._start(self._accept)
 
     def hang(self) -> None:
         """Half open: both sides believe in the connection, but nothing comes through any more."""
@@ -42,8 +44,17 @@ class Proxy:
     def close(self) -> None:
         self._ended = True
         self._open.set()
-        self._listening.close()
-        self.cut()
+        self._listening.shutdown(socket.SHUT_RDWR)  # or a waiting accept() goes on
+        while self._threads:  # the first one accepts: then no other is started
+            self._threads.pop(0).join(10.0)
+            self.cut()
+        for sock in (self._listening, *self._sockets):
+            sock.close()
+
+    def _start(self, work: Callable[..., None], *of: socket.socket) -> None:
+        thread = threading.Thread(target=work, args=of, daemon=True)
+        self._threads.append(thread)
+        thread.start()
 
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
@@ -53,7 +64,7 @@ class Proxy:
                 self._sockets += (client, service)
                 self._clients.append(client)
                 for source, sink in ((client, service), (service, client)):
-                    threading.Thread(target=self._pass_on, args=[source, sink], daemon=True).start()
+                    self._start(self._pass_on, source, sink)
 
     def _pass_on(self, source: socket.socket, sink: socket.socket) -> None:
         with contextlib.suppress(OSError):

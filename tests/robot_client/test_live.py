@@ -14,10 +14,6 @@ from service.contract import wire
 from tests.robot_client.live_cell import bench, undisturbed
 
 
-def run(coroutine):
-    return asyncio.run(asyncio.wait_for(coroutine, 60.0))
-
-
 async def _insert(log, **options):
     async with bench(**options) as cell:
         cell.heard = []
@@ -151,10 +147,10 @@ def test_an_interrupt_holds_the_arm_and_stops_the_program():
                     break
             await asyncio.sleep(0.3)
             task.cancel()
-            return cell, await task
+            state = await task
+            assert state.phase is Phase.FAILED
+            assert "operator" in state.reason
+            assert cell.cabinet.arm.at_rest
+            assert not cell.cabinet.running
 
-    cell, state = run(story())
-    assert state.phase is Phase.FAILED
-    assert "operator" in state.reason
-    assert cell.cabinet.arm.at_rest
-    assert not cell.cabinet.running
+    undisturbed(story)

@@ -8,6 +8,8 @@ from websockets.sync.client import ClientConnection, connect
 from service.contract import wire
 from tests.service.conftest import LiveService
 
+FRESH_NS = 100_000_000
+
 
 class Driver:
     def __init__(self, live: LiveService, insertion_id: str, **hello: Any) -> None:
@@ -50,12 +52,17 @@ class Driver:
         time.sleep(0.2)  # three frames: none of before is still on its way
 
     def insert(self, number: int) -> wire.Finished:
-        """Full depth of 1 mm, so slow that a stalling machine misses nothing that counts."""
+        """Full depth of 1 mm, so slow that a stalling machine misses nothing that counts.
+
+        Full depth is believed of a descent that was watched, on a frame that is recent.
+        """
         self.rest()
         self.send(wire.Arm(insertion_id=self.id, attempt=number, gap_width_mm=56.0, expected_depth_mm=1.0))
         self.until("armed")
         self.send(wire.Descending(insertion_id=self.id, attempt=number))
-        time.sleep(0.3)  # full depth is believed of a descent that was watched
+        time.sleep(0.3)
+        while time.monotonic_ns() - self.until("watching").frame_captured_ns > FRESH_NS:
+            pass
         self.send(wire.Stopped(insertion_id=self.id, attempt=number, depth_mm=1.0, outcome="inserted"))
         return self.until("finished")
 
