@@ -170,13 +170,7 @@ class LockstepCell:
 
     def open_pair(self) -> FramePair:
         """Both fingers' frames of this moment as they would be with nothing between the fingers; takes no time."""
-        gel = np.zeros_like(self.state.gel[0])
-        pictures = (
-            self._delivered(index, self.view(index).raw(gel, hash_seed(self.seed, 0, index, 3)))
-            if self.draws
-            else _NOTHING
-            for index in range(len(FINGERS))
-        )
+        pictures = (self.open_picture(index) if self.draws else _NOTHING for index in range(len(FINGERS)))
         left, right = (
             TactileFrame(finger, self.frame, self.now_ns, picture)
             for finger, picture in zip(FINGERS, pictures, strict=True)
@@ -250,6 +244,11 @@ class LockstepCell:
         (gel, before), seed = self.gels(index), hash_seed(self.seed, self.frame, index)
         camera = self.view(index)
         return lambda: self._delivered(index, camera.raw(gel, seed, before))
+
+    def open_picture(self, index: int) -> Image:
+        """A finger's raw frame as it would be with nothing between the fingers."""
+        gel = np.zeros_like(self.state.gel[index])
+        return self._delivered(index, self.view(index).raw(gel, hash_seed(self.seed, 0, index, 3)))
 
     def _delivered(self, index: int, raw: Image) -> Image:
         """A raw frame as that camera delivers it."""

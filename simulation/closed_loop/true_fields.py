@@ -18,7 +18,7 @@ from service.perception.observation import Observation
 from service.perception.rectification import Rectifier
 from service.perception.slip.detector import SlipDetector
 from service.perception.slip.onset import OnsetDetector
-from service.perception.slip.open_gel import OpenGel
+from service.perception.slip.open_gel import OpenGel, shrunk
 from simulation.closed_loop.lockstep import Image, LockstepCell, hash_seed
 
 # RMS per axis at 2 grey levels of camera noise, and the increase per further grey level (docs/slip_report.md).
@@ -110,6 +110,7 @@ class TrueFieldFinger:
         self._slip = SlipDetector()
         self._onset = OnsetDetector()
         self._open = OpenGel()
+        self._home: MarkerField | None = None  # the open gel, of which no picture has been drawn yet
         self._rearm = False
         self.gel_distance: float | None = None
         noise = cell.scene.camera.noise_grey
@@ -123,7 +124,8 @@ class TrueFieldFinger:
 
     def learn_open(self, frame: TactileFrame) -> str:
         """Take the gel at rest as the unloaded reference."""
-        self._open.learn(self._tracked(np.zeros_like(self._cell.state.gel[self._index]), frame, 8))
+        self._home = self._tracked(np.zeros_like(self._cell.state.gel[self._index]), frame, 8)
+        self._open.learn(self._home)
         return ""
 
     def observe(self, frame: TactileFrame) -> Observation:
@@ -138,10 +140,20 @@ class TrueFieldFinger:
             slip, onset = self._slip.update(field), self._onset.update(field)
         picture = cast("NDArray[np.uint8]", LatePicture(self._cell.picture_later(self._index), self._rectifier))
         onset_ns = None if onset is None else onset.captured_ns
-        gel, stamps = self._open, (frame.seq, frame.captured_ns)
+        stamps, touch = (frame.seq, frame.captured_ns), self._touch(field, picture)
         observation = Observation(self._finger, *stamps, picture, field, slip, onset_ns, {})
-        shown = gel.bulge(field), gel.touch(field), gel.weight(field)
-        return dataclasses.replace(observation, bulge=shown[0], touch=shown[1], weight=shown[2])
+        bulge, weight = self._open.bulge(field), self._open.weight(field)
+        return dataclasses.replace(observation, bulge=bulge, touch=touch, weight=weight)
+
+    def _touch(self, field: MarkerField, picture: NDArray[np.uint8]) -> float | None:
+        """How much the gel is touched; only a grip that moves no marker takes a picture to be seen."""
+        bulge = self._open.bulge(field)
+        if bulge is None or bulge >= 1.0 or (self._trouble and self._trouble.struck):
+            return bulge
+        if self._home is not None:
+            self._open.learn(self._home, shrunk(self._rectifier.apply(self._cell.open_picture(self._index))))
+            self._home = None
+        return self._open.touch(field, shrunk(np.asarray(picture)))
 
     def _field(self, frame: TactileFrame) -> MarkerField:
         """The field of a frame: the cell's gel, or a fault's version of it."""

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from service.perception.finger import TactileFinger
 from service.perception.markers.tracker import MarkerTracker
 from simulation.closed_loop.lockstep import LockstepCell
 from simulation.closed_loop.true_fields import TrueFieldFinger
@@ -45,3 +46,14 @@ def test_true_fields_of_a_moving_gel_lie_where_the_tracker_finds_them(unstated, 
     assert max(off_px) < (0.3 if "mirrored" in unstated else 0.08)  # a mirrored lens is not quite the lens it was
     if not unstated:
         assert max(late_px) > 2 * max(off_px)
+
+
+def test_a_light_grip_that_moves_no_marker_is_seen_in_the_picture():
+    scene = load_scene("white_box", gel__shear_modulus_n_per_mm2=0.2, grasp__force_n=4.0)
+    cell = LockstepCell.build(scene, 0.0, 0.0, seed=3)
+    fingers = TrueFieldFinger(cell, "left"), TactileFinger("left", scene.sensor.rectified, cell.calibration(0))
+    for finger in fingers:
+        assert finger.learn_open(cell.open_pair().left) == ""
+    seen = [finger.observe(cell.next_pair().left) for finger in fingers]
+    assert [one.bulge < 1.0 < one.touch for one in seen] == [True, True]
+    assert seen[0].touch == pytest.approx(seen[1].touch, rel=0.2)
