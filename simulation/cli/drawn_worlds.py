@@ -82,10 +82,11 @@ def _variants(options: Options) -> list[Variant]:
 
 
 def drawn_worlds_of(count: int, seed: int, layer_share: float) -> list[World]:
-    """``count`` drawn worlds, the first of them in the finer tier."""
+    """``count`` drawn worlds; those of the finer tier are spread evenly, so that an interrupted run is balanced."""
     worlds = []
     for number, tables in enumerate(drawn.draw_worlds(count, seed)):
-        tables["gel"]["tier"] = "layer" if number < layer_share * count else "bristle"
+        is_layer = int((number + 1) * layer_share) > int(number * layer_share)
+        tables["gel"]["tier"] = "layer" if is_layer else "bristle"
         worlds.append(drawn.world(tables, f"drawn-{number:04d}"))
     return worlds
 
