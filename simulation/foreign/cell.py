@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 
 from simulation.foreign.blocks import Bodies, Hand, hand_at
 from simulation.foreign.closing import Closing
-from simulation.foreign.elements import Pad, face_of
+from simulation.foreign.elements import Face, Pad, face_of
 from simulation.foreign.newton import Drive, Step
 from simulation.foreign.pads import OPEN, SLIP, Grip, Pads
 from simulation.foreign.readout import Readout
 from simulation.foreign.rigid import rotation, rotation_vector
 from simulation.foreign.surface import HeldSurface
-from simulation.scene.effects import active_effects
+from simulation.foreign.yielding import Creep
+from simulation.scene.effects import Active, active_effects
 from simulation.scene.ground_truth import Pose, reasons_against
-from simulation.scene.scene import Scene, SceneError
+from simulation.scene.scene import Scene
 from simulation.scene.state import CellState, PhysicsError
 
 Array = NDArray[np.float64]
@@ -32,22 +33,14 @@ DIVISIONS, FIRST = 4, 0.125  # on a reversal of the hand, a stiff contact loses 
 FAILED_N = 120  # solves per grasp. Insertions that end need none; each costs seconds
 LOST_MM, LOST_GRIP = 12.0, 0.1
 YAW_ARM_MM = 40.0  # a yaw counts as the arc at this radius
+PAUSE_SHARE, MOST_PAUSES = 0.25, 16  # step of a wait as a share of the relaxation time, and the most steps
 POISSON_RATIO = 0.48
 ENDLESS_MM = 1e3
 
 
 def pad_of(scene: Scene) -> Pad:
-    """The gel pad that a scene describes; a rubber's Poisson's ratio unless stated.
-
-    Raises SceneError for properties that these pads lack: viscosity, and compliant fingers.
-    """
+    """The gel pad that a scene describes; a rubber's Poisson's ratio unless stated."""
     gel, sensor = scene.gel, scene.sensor
-    for key, value in (
-        ("gel.relaxation_share", gel.relaxation_share),
-        ("grasp.finger_stiffness_n_per_mm", scene.grasp.finger_stiffness_n_per_mm),
-    ):
-        if value > 0.0:
-            raise SceneError(f"{scene.name}: {key}: {value:g} is not in the foreign cell; expected 0")
     sizes, margins = [], []
     markers = (sensor.marker_columns - 1, sensor.marker_rows - 1)
     for axis, pressed_mm in enumerate((sensor.gel_width_mm, sensor.gel_height_mm)):
@@ -59,21 +52,30 @@ def pad_of(scene: Scene) -> Pad:
     return Pad(sizes[0], sizes[1], gel.thickness_mm, poisson, (margins[0], margins[1]))
 
 
+def pads_of(scene: Scene, face: Face, active: Active) -> Pads:
+    """Both gels and fingers of a scene, with as much yielding as it calls for."""
+    gel, finger_n_per_mm = scene.gel, scene.grasp.finger_stiffness_n_per_mm
+    pads = Pads(face, gel.shear_modulus_n_per_mm2, gel.friction, gel.crown_mm)
+    if active.finger_compliance and finger_n_per_mm > 0.0:
+        pads.stand_on_springs(finger_n_per_mm)
+    if active.relaxation and gel.relaxation_share > 0.0:
+        pads.creep = Creep(len(pads.side), gel.relaxation_share, gel.relaxation_s)
+    return pads
+
+
 class ForeignCell:
     """A scene with its state; the same interface as the project's own cell."""
 
-    relaxes = False
-
     def __init__(self, scene: Scene, seed: int = 0, pad: Pad | None = None) -> None:
         self.scene, self.rng = scene, np.random.default_rng(seed)
-        face, gel = face_of(pad or pad_of(scene)), scene.gel
-        self.pads = Pads(face, gel.shear_modulus_n_per_mm2, gel.friction, gel.crown_mm)
+        face, active = face_of(pad or pad_of(scene)), active_effects(scene)
+        self.pads = pads_of(scene, face, active)
         self.held, self.readout = HeldSurface(scene.object), Readout(face, scene.sensor)
-        self.bodies = Bodies(scene, active_effects(scene))
+        self.bodies = Bodies(scene, active)
         self.pose = np.zeros(4)
         self.residual_n, self.iterations = 0.0, 0
         self.grasp_lost = False
-        self.pace_mm_s = scene.speed_mm_s  # nothing here depends on it
+        self.pace_mm_s = scene.speed_mm_s
         self._slid = np.zeros(len(self.pads.side), np.bool_)
         self._pace: tuple[Array, Array, Array] | None = None
         self.regrasp(0.0, 0.0)
@@ -104,6 +106,8 @@ class ForeignCell:
 
     def _close(self, turn: Array) -> None:
         """Close the fingers in equal steps of force on the object, which is held still."""
+        if self.pads.creep:
+            self.pads.creep.let_go()
         opening = 2.0 * self.held.crest_mm + self.scene.gel.thickness_mm
         nodes = self.pads.rested(opening)
         self.grip = Grip(turn, np.zeros(3), opening, nodes @ turn, np.full(len(nodes), OPEN, np.int8))
@@ -124,6 +128,8 @@ class ForeignCell:
                 f"{self.scene.gel.thickness_mm} mm",
                 "gel squeezed through",
             )
+        if self.pads.creep:
+            self.pads.creep.begin(self.pads.displacement(self.grip))
 
     def _rests(self, drive: Drive, travel: Array | None = None) -> bool:
         """Solve a load step in place; everything is restored where it does not converge.
@@ -154,20 +160,32 @@ class ForeignCell:
             raise ValueError(f"move_to: expected finite numbers, got {target.tolist()}")
         while not self.grasp_lost and not np.array_equal(self.pose, target):
             if not self.bodies.touching and (free := self._free_share(target)) > 0.0:
-                self.pose = target if free >= 1.0 else self.pose + free * (target - self.pose)
+                way = target - self.pose
+                self.pose = target if free >= 1.0 else self.pose + free * way
                 self.bodies.hand = hand_at(self.pose)
                 self._slid[:] = False
+                if self.relaxes:
+                    self._advance(self.pose, _length_mm(free * way) / self.pace_mm_s)
                 continue
             rest = target - self.pose
-            length = max(float(np.abs(rest[:3]).max()), YAW_ARM_MM * abs(float(rest[3])))
-            steps = max(1, math.ceil(length / self.scene.numerics.load_step_mm - 1e-9))
+            steps = max(1, math.ceil(_length_mm(rest) / self.scene.numerics.load_step_mm - 1e-9))
             self._advance(target if steps == 1 else self.pose + rest / steps)
         self.pose = target
         self.bodies.hand = hand_at(self.pose)
         return self.look()
 
-    def wait(self, _time_s: float) -> CellState:
-        """Stand still: nothing here changes with time."""
+    @property
+    def relaxes(self) -> bool:
+        """Whether the gels creep while the hand stands still."""
+        return self.pads.creep is not None
+
+    def wait(self, time_s: float) -> CellState:
+        """Stand still: gels that relax creep, nothing else changes. Raises PhysicsError as `move_to` does."""
+        if self.relaxes and time_s > 0.0:
+            count = min(MOST_PAUSES, math.ceil(time_s / (PAUSE_SHARE * self.scene.gel.relaxation_s)))
+            for _ in range(count):
+                if not self.grasp_lost:
+                    self._advance(self.pose, time_s / count)
         return self.look()
 
     def _free_share(self, target: Array) -> float:
@@ -183,19 +201,29 @@ class ForeignCell:
         heights = self.bodies.foot @ turn[2] + place[2]
         return float(heights.min() - max(0.0, float(self.bodies.block_place[:, 2].max())))
 
-    def _advance(self, target: Array, depth: int = 0) -> None:
-        """One load step, or only its first part where necessary. Raises PhysicsError."""
+    def _advance(self, target: Array, time_s: float | None = None, depth: int = 0) -> None:
+        """One load step, or only its first part where necessary. Raises PhysicsError.
+
+        time_s: its duration; by default that of the way at the present pace. The gel creeps before the step's motion.
+        """
         if self._drops():
             self.grasp_lost, self.pose = True, target.copy()
             self.bodies.hand = hand_at(target)
             return
         beside, start = self.bodies.beside.copy(), self.grip.on.copy()
         before, after = hand_at(self.pose), hand_at(target)
+        lasts_s = _length_mm(target - self.pose) / self.pace_mm_s if time_s is None else time_s
+        creep, crept = self.pads.creep, None
+        if creep:
+            crept = creep.by
+            creep.hold(self.pads.displacement(self.grip), lasts_s)
         self.bodies.begin(self.grip, before, after)
         if self._rests(self.bodies, target - self.pose):
             self._arrive(target, start)
             return
         self.bodies.beside, self.bodies.hand = beside, before
+        if creep and crept is not None:
+            creep.by = crept
         self._failed_n += 1
         if depth == DIVISIONS or self._failed_n > FAILED_N:
             raise PhysicsError(
@@ -203,9 +231,9 @@ class ForeignCell:
                 f"{np.round(target[:3], 3).tolist()} mm",
                 "forces unbalanced",
             )
-        self._advance(self.pose + FIRST * (target - self.pose), depth + 1)
+        self._advance(self.pose + FIRST * (target - self.pose), FIRST * lasts_s, depth + 1)
         if not self.grasp_lost:
-            self._advance(target, depth + 1)
+            self._advance(target, (1.0 - FIRST) * lasts_s, depth + 1)
 
     def _drops(self) -> bool:
         """Whether the object's weight exceeds the friction between the pads."""
@@ -236,7 +264,7 @@ class ForeignCell:
         pressure = np.maximum(terms.pressing, 0.0) / self.pads.area
         closed = (grip.status != OPEN).reshape(2, -1).sum(axis=1)
         return CellState(
-            gel=self.readout(grip.points - self.pads.rested(grip.opening), pressure),
+            gel=self.readout(self.pads.displacement(grip), pressure),
             slipping=self.readout.nearest(self._slid),
             slipping_share=self._slid.reshape(2, -1).sum(axis=1) / np.maximum(closed, 1),
             wrench_n_nmm=self.bodies.wrench(grip),
@@ -249,3 +277,8 @@ class ForeignCell:
             grasp_lost=self.grasp_lost,
             residual_n=self.residual_n,
         )
+
+
+def _length_mm(way: Array) -> float:
+    """Length of a motion (dx, dy, dz mm, yaw rad): its longest part."""
+    return max(float(np.abs(way[:3]).max()), YAW_ARM_MM * abs(float(way[3])))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from simulation.foreign.elements import Face
 from simulation.foreign.rigid import cross_matrix
 from simulation.foreign.surface import HeldSurface
+from simulation.foreign.yielding import Creep, Springs
 
 Array = NDArray[np.float64]
 
@@ -135,6 +136,8 @@ class Pads:
         flip = np.tile([1.0, -1.0, 1.0], self.count)
         own = shear_modulus_n_per_mm2 * face.stiffness
         self.stiffness = (own * np.outer(flip, flip), own)
+        self.springs: Springs | None = None
+        self.creep: Creep | None = None
         self.rho = np.concatenate([np.diag(own).reshape(-1, 3).mean(axis=1)] * 2)
         self._let_go: tuple[dict[bytes, Closed], ...] = ({}, {})
 
@@ -144,10 +147,27 @@ class Pads:
         out[:, 1] += 0.5 * opening * self.side
         return out
 
+    def stand_on_springs(self, n_per_mm: float) -> None:
+        """Let the fingers yield along x, before the first grasp."""
+        self.springs = Springs(self.stiffness, n_per_mm)
+        self.stiffness = self.springs.stiffness
+
+    def _unforced(self, opening: float) -> Array:
+        """Positions of the nodes without forces: rest, and what has crept since the grasp."""
+        rested = self.rested(opening)
+        return rested if self.creep is None else rested + self.creep.by
+
     def forces(self, grip: Grip) -> Array:
         """Forces of the object on the nodes, [n, 3], N, hand frame."""
-        motion = (grip.points - self.rested(grip.opening)).reshape(2, -1)
+        motion = (grip.points - self._unforced(grip.opening)).reshape(2, -1)
         return np.concatenate([k @ part for k, part in zip(self.stiffness, motion, strict=True)]).reshape(-1, 3)
+
+    def displacement(self, grip: Grip) -> Array:
+        """Displacement of the nodes as their finger's camera sees it, [n, 3], mm, hand frame."""
+        out = grip.points - self.rested(grip.opening)
+        if self.springs:
+            out[:, 0] -= self.springs.bent(grip.points - self._unforced(grip.opening))
+        return out
 
     def planes(self, held: HeldSurface, on: Array) -> Planes:
         """The held surface next to nodes [n, 3] in the object frame."""
@@ -203,7 +223,7 @@ class Pads:
         opened = (grip.status == OPEN).reshape(2, -1)
         if not opened.any():
             return
-        points, rested = grip.points, self.rested(grip.opening)
+        points, rested = grip.points, self._unforced(grip.opening)
         for pad, mine in enumerate(opened):
             part, first = self.let_go(pad, mine), pad * self.count
             free, held = first + part.open_, first + part.closed

@@ -214,3 +214,40 @@ def test_a_hand_that_turns_back_leaves_a_stiff_edge():
     assert cell.bodies.touching
     assert cell.move_to(x, y, 44.0, yaw).residual_n <= TOLERANCE_N
     assert not cell.bodies.touching
+
+
+def test_a_held_displacement_loses_the_relaxing_share_of_its_force():
+    quick = {"gel__friction": 2.0, "effects__gravity": "off", "blocks__stiffness_n_per_mm": 5e4}
+    cell = held(gel__relaxation_share=0.4, gel__relaxation_s=0.5, **quick)
+    cell.pace_mm_s = 1e6
+    at_once_n = lowered(cell, 0.3).wrench_n_nmm[2]
+    shares = [cell.wait(0.5).wrench_n_nmm[2] / at_once_n for _ in range(4)]
+    assert shares == pytest.approx([1.0 - 0.4 * (1.0 - math.exp(-n)) for n in (1, 2, 3, 4)], abs=5e-3)
+
+
+def test_a_slow_press_is_softer_where_the_gel_relaxes_and_the_next_grasp_has_forgotten_it():
+    def pressed_n(cell, pace_mm_s):
+        cell.regrasp(8.0, 0.0)
+        cell.pace_mm_s = pace_mm_s
+        return lowered(cell, 0.5).wrench_n_nmm[2]
+
+    relaxing, elastic = held(gel__relaxation_share=0.3, gel__relaxation_s=0.2), held()
+    quick_n, slow_n, again_n = (pressed_n(relaxing, pace_mm_s) for pace_mm_s in (1e6, 1.0, 1e6))
+    assert slow_n < 0.9 * quick_n
+    assert again_n == pytest.approx(quick_n, rel=1e-6)
+    assert quick_n == pytest.approx(pressed_n(elastic, 1.0), rel=1e-3)
+
+
+def test_a_finger_and_its_gel_are_springs_in_series_of_which_the_camera_sees_the_gel():
+    def pushed(cell):
+        grip = cell.grip.copy()
+        grip.place[0] += 0.1
+        forces_n, seen_mm = (method(grip) - method(cell.grip) for method in (cell.pads.forces, cell.pads.displacement))
+        return forces_n[:, 0].reshape(2, -1).sum(axis=1), seen_mm[:, 0]
+
+    (rigid_n, rigid_mm), (bent_n, bent_mm) = (
+        pushed(held(x_mm=0.0, grasp__finger_stiffness_n_per_mm=stiffness)) for stiffness in (0.0, 20.0)
+    )
+    assert rigid_mm == pytest.approx(0.1)
+    assert 0.1 / bent_n == pytest.approx(0.1 / rigid_n + 1.0 / 20.0, rel=1e-6)
+    assert bent_mm == pytest.approx(np.repeat(0.1 - bent_n / 20.0, len(bent_mm) // 2), rel=1e-6)
