@@ -27,7 +27,7 @@ KNOWN: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "drawn-foreign": {"gel": {"relaxation_share": 0.0}, "grasp": {"finger_stiffness_n_per_mm": 0.0}},
 }
 """Names that stand for an object's, each with the parameters that are fixed. The first mixes the tiers; the others have
-one tier, or the finite elements of the foreign cell, which have neither relaxation nor compliant fingers."""
+one tier, or the finite elements of the foreign cell, without relaxation and compliant fingers."""
 PRESS_MM, FRAME_MM = 1.65, 0.15
 LAYER_SHARE = 0.08
 """Share of cells in the layer tier, whose presses cost several times as much. Worlds for evaluation: half of each."""

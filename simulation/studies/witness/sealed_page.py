@@ -33,8 +33,8 @@ def foreign_world_page(data: Row) -> str:
         - **Three families of gels.** *Edges near*: the gel ends within 1 mm of the markers. *Edges far*: it extends at
           least 5 mm beyond them. *Stiff and slippery*: it slides after 0.15 to 0.4 marker pitches.
         - **Everything else** is drawn from the ranges of [worlds](worlds.md), including the properties that the
-          software is never given; so are the objects. Poisson's ratio is that of rubber, 0.45 to 0.495. The cell models
-          neither viscosity nor soft fingers.
+          software is never given; so are the objects. Poisson's ratio is that of rubber, 0.45 to 0.495. No gel
+          relaxes and no finger bends.
         - **Scoring.** Marker positions are the true ones plus the tracker's error. The shear reach was not given to the
           networks. A failure counts as 16 trials.
         {_baselines(data)}
