@@ -4,6 +4,7 @@ At each camera tick the world reads the arm's pose, advances the mechanics to it
 their cameras. Ticks that the machine could not serve are skipped and counted, and never made up for.
 """
 
+import math
 import queue
 import threading
 import time
@@ -16,13 +17,24 @@ from numpy.typing import NDArray
 
 from service.contract import Sensor
 from simulation.cell.emulators.abb.motion import Pose
+from simulation.physics.inertia import duration_s
 from simulation.scene.state import CellState
 
 Gel = NDArray[np.floating[Any]]
+LEAST_PACE_MM_S = 1e-3
 
 
 class Mechanics(Protocol):
     """The simulated cell as the world uses it (``QuasiStaticCell``)."""
+
+    pace_mm_s: float
+
+    @property
+    def relaxes(self) -> bool:
+        """Whether anything changes while the hand stands still."""
+
+    def wait(self, time_s: float, /) -> CellState:
+        """Stand still for a while and return the new state."""
 
     def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
         """Advance the TCP and return the new state."""
@@ -75,6 +87,7 @@ class World:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="world", daemon=True)
         self._last: tuple[float, float, float, float] | None = None
+        self._last_ns = 0
         self._offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self.part_n = 0
         self._gel: Gel = np.zeros((2, sensor.marker_rows, sensor.marker_columns, 3), np.float32)
@@ -155,22 +168,32 @@ class World:
                 due_s += skipped * period_s
 
     def _advance(self, pose: Pose) -> None:
+        now_ns = time.monotonic_ns()
+        passed_s, self._last_ns = (now_ns - self._last_ns) * 1e-9, now_ns
         if not self.held:
             self._gel = np.zeros_like(self._gel)
             return
         x_mm, y_mm, z_mm = pose.position_mm
         where = (x_mm + self._offset[0], y_mm + self._offset[1], z_mm, pose.yaw_deg + self._offset[2])
-        if self._last is not None and all(abs(a - b) < 1e-5 for a, b in zip(where, self._last, strict=True)):
-            return
-        self._last = where
         try:
-            self.state = self._mechanics.move_to(*where)
+            state = self._moved(where, passed_s)
         except RuntimeError as error:  # no equilibrium: the arm was driven into the blocks
             self.on_unsolved(str(error))
             return
-        self._gel = np.array(self.state.gel, np.float32)
-        if self.state.grasp_lost:
-            self.held = False
+        if state is not None:
+            self.state, self._gel = state, np.array(state.gel, np.float32)
+            self.held = not state.grasp_lost
+
+    def _moved(self, where: tuple[float, float, float, float], passed_s: float) -> CellState | None:
+        """The state after the hand has moved there, or stood there, for a time; None if nothing changes."""
+        last = self._last
+        if last is not None and all(abs(a - b) < 1e-5 for a, b in zip(where, last, strict=True)):
+            return self._mechanics.wait(passed_s) if self._mechanics.relaxes else None
+        self._last = where
+        if last is not None:
+            way = np.subtract(where, last) * (1.0, 1.0, 1.0, math.radians(1.0))
+            self._mechanics.pace_mm_s = max(duration_s(way, 1.0) / passed_s, LEAST_PACE_MM_S)
+        return self._mechanics.move_to(*where)
 
     def _note(self) -> None:
         course, state = self.course, self.state
