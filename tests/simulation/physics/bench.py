@@ -36,6 +36,8 @@ STATE = {
 class TwoLinePhysics:
     """The object follows the hand rigidly; deeper than the block tops off centre is contact."""
 
+    relaxes = False
+
     def __init__(self):
         self.lost = self.broken = False
         self.grips = []
