@@ -14,7 +14,7 @@ from service.contract.wire import Cause, Doubt, DoubtReason
 from service.decision.attempt import Attempt
 from service.decision.seating import Push, seating_evidence, strongest_push
 from service.decision.turning import LastingTurn, turned_going_in
-from service.perception.observation import WEIGHED_SHARE, PairObservation
+from service.perception.observation import WEIGHED_SHARE, Observation, PairObservation
 
 Doubts = tuple[Doubt, ...]
 DEPTH_TOLERANCE_MM = 1.0  # a descent may end this much short of the expected depth
@@ -151,17 +151,23 @@ def _held(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
         yield _doubt("not_seen", "no pair shows the object in the hand")
         return
     for before, now in zip(reference.fingers, attempt.ring[-1].fingers, strict=True):
-        if now.bulge is None:
+        shows, least = _shown(before, now, reference)
+        if shows is None:
             yield _doubt("not_seen", f"the {now.finger} gel does not show whether it is touched")
-        elif before.bulge is not None and now.bulge < (least := _least_bulge(before.bulge, reference)):
-            yield _doubt("not_held", f"the {now.finger} gel looks as if nothing touches it", now.bulge, least)
+        elif shows < least:
+            yield _doubt("not_held", f"the {now.finger} gel looks as if nothing touches it", shows, least)
 
 
-def _least_bulge(before: float, reference: PairObservation) -> float:
-    """The least bulge that a finger must still show; none if only the other one showed the object's touch."""
-    if before >= 1.0:
-        return 1.0
-    return WEIGHED_SHARE * before if reference.looks_open else 0.0
+def _shown(before: Observation, now: Observation, reference: PairObservation) -> tuple[float | None, float]:
+    """What a finger shows of the object's touch, and the least that it must still show.
+
+    A finger that felt the object by its markers or in the picture must still feel it by either. Where both showed its
+    weight only, the markers must keep their share; where only the other finger felt it, nothing is asked of this one.
+    """
+    if before.feels:
+        return now.felt, 1.0
+    weighed = reference.looks_open and before.bulge is not None
+    return now.bulge, WEIGHED_SHARE * (before.bulge or 0.0) if weighed else 0.0
 
 
 def _width(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:

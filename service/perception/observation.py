@@ -42,6 +42,16 @@ class Observation:
     weight: float | None = None
 
     @property
+    def felt(self) -> float | None:
+        """The touch that the markers or the picture show, whichever is stronger, from 1 on certain; None: unknown."""
+        return None if self.bulge is None else max(self.bulge, self.touch or 0.0)
+
+    @property
+    def feels(self) -> bool:
+        """Whether the gel is certainly touched."""
+        return self.felt is not None and self.felt >= 1.0
+
+    @property
     def informative(self) -> bool:
         """Whether this frame says anything about slip: its markers are new and were compared with the reference."""
         return self.field.usable and self.slip.state not in {"unknown", "lost"}
@@ -75,7 +85,7 @@ class PairObservation:
     @property
     def looks_open(self) -> bool:
         """Whether both gels look untouched, apart from something's weight."""
-        return all(f.bulge is not None and max(f.bulge, f.touch or 0.0) < 1.0 for f in self.fingers)
+        return all(finger.felt is not None and not finger.feels for finger in self.fingers)
 
     @property
     def fingers(self) -> tuple[Observation, Observation]:

@@ -88,6 +88,19 @@ def test_a_finger_that_feels_nothing_any_more_or_does_not_tell_is_a_doubt(left: 
     assert reasons(attempt) == [reason]
 
 
+def pictured(both: PairObservation, touch: float) -> PairObservation:
+    return PairObservation(replace(both.left, touch=touch), replace(both.right, touch=touch))
+
+
+def test_a_flat_face_that_only_the_pictures_show_at_full_depth_is_still_felt_and_must_be() -> None:
+    """Creep lifts the markers of a relaxing gel over their limit for a while; its picture shows the object."""
+    for bulge in (0.8, 1.1):
+        attempt = descent(reference=pictured(pair(left=bulge, right=bulge), 3.6))
+        for touch, expected in ((3.5, []), (0.5, ["not_held", "not_held"])):
+            attempt.ring.append(pictured(pair(left=0.8, right=0.9), touch))
+            assert reasons(attempt) == expected
+
+
 @given(first=st.integers(0, FRAMES - 10), blind_n=st.integers(0, 60))
 def test_a_descent_is_claimed_only_if_no_part_of_it_was_blind_for_long(first: int, blind_n: int) -> None:
     gone = range(first, min(first + blind_n, FRAMES - 1))
