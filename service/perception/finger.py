@@ -17,6 +17,7 @@ from service.perception.slip.imprint import ImprintWatch
 from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.open_gel import OpenGel, shrunk
 
+_MOVED = 0.5  # times the limit of an untouched gel; noise and JPEG move copies of one picture by 0.2 at most
 _PRESSED = 2.0  # times the bulge limit of an untouched gel; beyond it an object is certainly held
 
 
@@ -81,8 +82,8 @@ class TactileFinger:
         tracked_field = self._tracker.update(image, frame.captured_ns)
         tracked = time.perf_counter()
         bulge, small = self._open.bulge(tracked_field), shrunk(image)
-        touched = bulge is None or bulge >= 1.0 or (self._open.shade(small) or 0.0) >= 1.0
-        field = self._liveness.checked(image, tracked_field, touched=touched)
+        changed = bulge is None or bulge >= _MOVED or (self._open.shade(small) or 0.0) >= 1.0
+        field = self._liveness.checked(image, tracked_field, changed=changed)
         marked = self._open.mark(field)
         if self._rearm:
             slip = self._slip.rearm(field)

@@ -85,4 +85,7 @@ def _holds(interval: Sequence[float] | None, truth: float) -> bool:
 
 def _cause(reason: str) -> str:
     """Who ended it and why, without details; for a miswired cell also the mistake."""
-    return reason if "contradictory" in reason else ": ".join(reason.split(": ")[:2])
+    if "contradictory" in reason:
+        return reason
+    parts = reason.split(": ")
+    return ": ".join(parts[: 3 if "refused" in parts else 2])

@@ -43,14 +43,14 @@ class Liveness:
         """The next frame shows a held object, let go by whatever pressed it in the last frames: they are no series."""
         self._armed_n, self._changed, self._before = 0, self._open is None, None
 
-    def checked(self, image: NDArray[np.uint8], field: MarkerField, *, touched: bool) -> MarkerField:
+    def checked(self, image: NDArray[np.uint8], field: MarkerField, *, changed: bool) -> MarkerField:
         """The field tracked in a rectified frame uint8 [H, W, 3]; a "duplicate" where the frame is a copy.
 
-        ``touched``: whether its markers or its shading differ from the open gel.
+        ``changed``: whether its markers or its shading differ from the open gel's.
         """
         if not field.usable:
             return field
-        grain, self._changed = _grain(image), self._changed or touched
+        grain, self._changed = _grain(image), self._changed or changed
         reason = self._repeated(grain)
         self._before, self._last, self._armed_n = self._last, grain, self._armed_n + 1
         return replace(field, status="duplicate", reason=reason) if reason else field

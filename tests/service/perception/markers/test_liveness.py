@@ -75,6 +75,27 @@ def test_a_light_grip_that_only_shades_the_gel_is_a_new_picture():
         assert observation.field.usable
 
 
+def test_a_light_grip_that_hardly_moves_the_markers_is_a_new_picture():
+    """By 0.7 of what counts as touched, of which a noisy picture's grain shows nothing."""
+    renderer = drawn.renderer("left")
+    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    gripped = np.zeros((20, 21, 3), np.float32)
+    noise = np.random.default_rng(0)
+
+    def seen(k, gel):
+        clean = renderer.raw(gel, 500)
+        picture = np.clip(np.rint(clean + noise.normal(0.0, 6.0, clean.shape)), 0, 255).astype(np.uint8)
+        return TactileFrame("left", k, k * drawn.PERIOD_NS, picture)
+
+    finger.learn_open(seen(0, gripped))
+    finger.rearm()
+    gripped = gripped + np.array([0.0125, 0.0, 0.0], np.float32)
+    for k in range(1, 6):
+        observation = finger.observe(seen(k, gripped))
+        assert observation.bulge == pytest.approx(0.7, abs=0.15)
+        assert observation.field.usable
+
+
 @pytest.mark.parametrize("pressed_mm", [(0.05, 0.06), (0.12, 0.16)])
 def test_an_object_that_hangs_free_again_is_a_new_picture_after_a_press(pressed_mm):
     renderer = drawn.renderer("left")
