@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from service.contract import FINGERS, Finger, FramePair, TactileFrame
+from service.contract.wire import Doubt
 from service.decision.attempt import Attempt
 from service.perception.observation import WEIGHED_SHARE, FingerWatch, Observation, PairObservation, belongs
 from service.perception.slip.phases import Grasp
@@ -48,6 +49,20 @@ class Fingers:
         """Whether both fingers' imprints, each newly examined, show that the object slides out."""
         score = self._witness.update([observation.imprint for observation in self._observations.values()])
         return score is not None and score >= 0
+
+    def unjudged(self) -> tuple[Doubt, ...]:
+        """Why the newest frames of the fingers were not judged; of a finger that has been judged, nothing."""
+        return tuple(
+            Doubt(reason="not_seen", detail=f"the newest frame of the {finger} finger was not judged: {why}")
+            for finger in FINGERS
+            if (why := self._unjudged(finger))
+        )
+
+    def _unjudged(self, finger: Finger) -> str:
+        newest = self._observations.get(finger)
+        if newest is None:
+            return "none has come"
+        return "" if newest.informative else newest.field.reason or newest.slip.reason
 
     def missing(self, pair: FramePair) -> list[TactileFrame]:
         """The frames of a pair that have not been perceived yet."""

@@ -80,7 +80,7 @@ class InsertionSession:
             case _ if self.finished is not None:
                 replies = [self.finished]
             case wire.Abort():
-                replies = self._finish(message.cause)
+                replies = self._finish(message.cause, self._fingers.unjudged() if message.cause == "unwatched" else ())
             case wire.LearnOpen() if self.attempt is None or self.attempt.stage is Stage.DECIDED:
                 self._open.ask(now_ns)
             case _:

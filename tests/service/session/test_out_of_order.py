@@ -200,3 +200,25 @@ def test_a_correction_is_commanded_once_and_a_refusal_never(session: InsertionSe
 def test_an_insertion_that_ends_before_it_began_has_no_attempts(session: InsertionSession) -> None:
     (end,) = session.handle(wire.Abort(insertion_id=ID, cause="operator", reason="done"), 0)
     assert (end.attempts, end.outcome) == (0, "aborted")
+
+
+def test_an_abort_for_frames_that_came_unjudged_tells_why_they_were_not(session: InsertionSession) -> None:
+    arm(session)
+    shows(session, 0)
+    descends(session)
+    copy = replace(session.right.sees.field, status="duplicate", reason="the frame repeats an earlier one")
+    session.right.sees = replace(session.right.sees, field=copy)
+    shows(session, 1)
+    (finished,) = session.handle(wire.Abort(insertion_id=ID, cause="unwatched", reason="the lease ended"), S)
+    assert (finished.outcome, finished.cause) == ("failed", "unwatched")
+    assert [doubt.detail for doubt in finished.doubts] == [
+        "the newest frame of the right finger was not judged: the frame repeats an earlier one"
+    ]
+
+
+def test_an_abort_for_frames_that_did_not_come_has_no_more_to_tell(session: InsertionSession) -> None:
+    arm(session)
+    shows(session, 0)
+    descends(session)
+    (finished,) = session.handle(wire.Abort(insertion_id=ID, cause="unwatched", reason="the lease ended"), S)
+    assert finished.doubts == ()
