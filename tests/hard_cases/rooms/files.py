@@ -129,7 +129,7 @@ def calibrations_that_show_nothing(_seed: int) -> float:
     why="users edit calibration files by hand",
     holds="unknown keys, missing tables and wrong types are refused in one line: not refused",
     guard=Guard(
-        "service.perception.rectification:Calibration.load",
+        "service.perception.rectification:Calibration.parse",
         "unknown keys are ignored",
         with_globals(set=lambda _: frozenset()),
     ),
