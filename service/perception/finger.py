@@ -82,9 +82,10 @@ class TactileFinger:
         tracked_field = self._tracker.update(image, frame.captured_ns)
         tracked = time.perf_counter()
         bulge, small = self._open.bulge(tracked_field), shrunk(image)
-        changed = bulge is None or bulge >= _MOVED or (self._open.shade(small) or 0.0) >= 1.0
+        shaded = (self._open.shade(small) or 0.0) >= 1.0
+        changed = bulge is None or bulge >= _MOVED or shaded
         field = self._liveness.checked(image, tracked_field, changed=changed)
-        marked = self._open.mark(field)
+        marked = field if shaded else self._open.mark(field)  # a push may bring markers home that a weight moved
         if self._rearm:
             slip = self._slip.rearm(field)
             self._onset.rearm(field)

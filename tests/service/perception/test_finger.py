@@ -40,6 +40,23 @@ def test_the_live_state_says_no_contact_while_the_gel_is_untouched_and_hold_whil
     assert set(states[13:]) == {"no_contact"}
 
 
+def test_a_push_that_brings_home_markers_which_a_weight_had_moved_is_no_release() -> None:
+    """The object still presses the gel, as its picture shows; only open, the gel is let go."""
+    renderer = drawn.renderer("left")
+    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    pressed, sagging = FREE.copy(), FREE.copy()
+    pressed[..., 2] = drawn.gel(0.0)[..., 2]
+    sagging[..., 1] = 0.05 * Sensor.load().marker_pitch_mm
+    finger.learn_open(TactileFrame("left", 0, 0, renderer.raw(FREE, 0)))
+    finger.rearm()
+    stops = []
+    for k, gel in enumerate([*[pressed + share * sagging for share in (1.0, 1.0, 0.6, 0.3, 0.0)], FREE, FREE], 1):
+        observation = finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, renderer.raw(gel, k)))
+        stops.append(observation.slip.stop)
+    assert stops[:5] == [False] * 5
+    assert any(stops[5:])
+
+
 def test_a_gel_that_hides_rows_when_it_is_gripped_keeps_the_grid_of_the_open_gel() -> None:
     renderer = drawn.renderer("left")
     finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
