@@ -1,7 +1,11 @@
 """Hard histories of contact: holding, going to and fro, steps of any length, mirrored and random starts."""
 
+import itertools
+from typing import Any
+
 import numpy as np
 
+from simulation.physics.quasistatic import QuasiStaticCell
 from tests.hard_cases.instead import blind
 from tests.hard_cases.registry import Guard, case, non_finite, not_refused
 from tests.hard_cases.rooms.physics import (
@@ -51,7 +55,7 @@ def stick_slip_reversal(seed: int) -> float:
 @case(
     "physics",
     why="a part between both walls locks: its friction limits follow each other and come 1 to 2 % closer per round",
-    holds="a part pushed down until it wedges reaches its equilibrium and is never refused: share of the bound used",
+    holds="a part pushed down until it wedges reaches its equilibrium, in 1,000 tries at most: share of the bound used",
     guard=Guard(
         "simulation.physics.kernels.convex:FINISH_EVERY", "damped rounds are never ended by the coupled Newton", 10**9
     ),
@@ -61,7 +65,18 @@ def stick_slip_reversal(seed: int) -> float:
 def wedged_between_both_walls(seed: int) -> float:
     rng = np.random.default_rng(seed)
     starts = [(rng.uniform(-2.5, 2.5), rng.uniform(3.5, 6.0) * rng.choice((-1.0, 1.0))) for _ in range(2)]
-    return max(worst_of(grasped("mustard", x, theta, seed), (6.0, 8.0, 10.0, 12.0, 14.0)) for x, theta in starts)
+    return max(_wedged(grasped("mustard", x, theta, seed)) for x, theta in starts)
+
+
+def _wedged(cell: QuasiStaticCell) -> float:
+    tries, one_try = itertools.count(1), cell._pass
+
+    def counted(*step: Any) -> int:
+        assert next(tries) <= 1000
+        return one_try(*step)
+
+    cell._pass = counted  # type: ignore[method-assign]
+    return worst_of(cell, (6.0, 8.0, 10.0, 12.0, 14.0))
 
 
 @case(
