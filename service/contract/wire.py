@@ -242,9 +242,8 @@ class NoDecision(_Message):
 class Finished(_Message):
     """The insertion is closed and its recording complete. Only the outcome ``inserted`` is an insertion.
 
-    ``not_confirmed``: full depth was reached, and ``doubts`` says why that is not claimed as an insertion. If the only
-    doubt is that the object has turned, a client that regrasps gets ``aborted`` with the cause ``afresh``. After an
-    abort for ``unwatched``, ``doubts`` says why frames that did come were not judged.
+    ``doubts``: for ``not_confirmed``, why full depth is not claimed (if only for a turned object, a client that
+    regrasps gets ``aborted`` for ``afresh``); for ``unwatched``, why frames that came were not judged.
     """
 
     type: Literal["finished"] = "finished"

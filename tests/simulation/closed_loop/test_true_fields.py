@@ -54,6 +54,6 @@ def test_a_light_grip_that_moves_no_marker_is_seen_in_the_picture():
     fingers = TrueFieldFinger(cell, "left"), TactileFinger("left", scene.sensor.rectified, cell.calibration(0))
     for finger in fingers:
         assert finger.learn_open(cell.open_pair().left) == ""
-    seen = [finger.observe(cell.next_pair().left) for finger in fingers]
-    assert [one.bulge < 1.0 < one.touch for one in seen] == [True, True]
-    assert seen[0].touch == pytest.approx(seen[1].touch, rel=0.2)
+    observations = [finger.observe(cell.next_pair().left) for finger in fingers]
+    assert [one.bulge < 1.0 < one.touch for one in observations] == [True, True]
+    assert observations[0].touch == pytest.approx(observations[1].touch, rel=0.2)

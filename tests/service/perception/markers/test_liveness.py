@@ -82,16 +82,16 @@ def test_a_light_grip_that_hardly_moves_the_markers_is_a_new_picture():
     gripped = np.zeros((20, 21, 3), np.float32)
     noise = np.random.default_rng(0)
 
-    def seen(k, gel):
+    def frame(k, gel):
         clean = renderer.raw(gel, 500)
         picture = np.clip(np.rint(clean + noise.normal(0.0, 6.0, clean.shape)), 0, 255).astype(np.uint8)
         return TactileFrame("left", k, k * drawn.PERIOD_NS, picture)
 
-    finger.learn_open(seen(0, gripped))
+    finger.learn_open(frame(0, gripped))
     finger.rearm()
     gripped = gripped + np.array([0.0125, 0.0, 0.0], np.float32)
     for k in range(1, 6):
-        observation = finger.observe(seen(k, gripped))
+        observation = finger.observe(frame(k, gripped))
         assert observation.bulge == pytest.approx(0.7, abs=0.15)
         assert observation.field.usable
 
