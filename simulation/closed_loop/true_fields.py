@@ -1,7 +1,8 @@
 """Perception of one finger from the simulated gel itself, for runs without pictures.
 
 The service's own detectors judge slip and onset on the true marker field plus the tracker's measured error; a picture
-is drawn only when a network needs it. About five times cheaper than drawing and tracking every frame.
+is drawn only when a network needs it, or where the markers show no touch. About five times cheaper than drawing and
+tracking every frame.
 """
 
 import dataclasses

@@ -264,7 +264,7 @@ def test_full_depth_without_the_object_is_not_taken_for_an_insertion(cell):
 def test_a_killed_service_stops_the_arm(cell):
     """The last of those that share the service, which is gone then."""
     arm = TinyArm(trouble=cell.service.kill)
-    with pytest.raises(Exception, match=r"close frame|reset|refused|judged|lost"):
+    with pytest.raises(Exception, match=r"close frame|reset|refused|judged"):
         cell.insert(arm)
     stands(arm)
 

@@ -48,6 +48,23 @@ def test_an_insertion_without_an_equilibrium_is_not_said_to_be_refused():
     assert (ends["void"], ends["refused"]) == (1, 1)
 
 
+@pytest.mark.parametrize(
+    ("reason", "named"),
+    [
+        ("service: refused: untrained: grip_n is 9, trained on 9.4 to 43", "service: refused: untrained"),
+        ("service: unwatched: newest frame judged 403 ms ago", "service: unwatched"),
+        (
+            "commissioning: contradictory: the fingers are swapped",
+            "commissioning: contradictory: the fingers are swapped",
+        ),
+    ],
+)
+def test_a_row_names_what_was_refused_and_no_figures(reason, named):
+    failed = ROW | {"inserted": False, "claimed": False, "reason": reason, "object": "rectangle", "condition": "a"}
+    (row,) = benchmark.table([failed])
+    assert row["reasons"] == {named: 1}
+
+
 def test_starts_are_uniform_in_the_range_of_the_object_and_repeat_by_seed():
     scene = load_scene("rectangle")
     starts = benchmark.drawn_starts(scene, 30, 7)
