@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from service.contract import ModelCard
 from service.contract.model_card import MARKER_PITCH, Lattice
 from service.decision.evidence import Refusal
+from service.decision.turning import both_deg, carried_rad
 from service.perception.markers.field import MarkerField, marker_array
 from service.perception.observation import PairObservation
 from service.perception.pressing import DepthSteps, lattice_weights, on_lattice
 
 Floats = NDArray[np.float32]
 FELT, FELT_BY_N = 0.1, 10  # a press moves so many lattice points by this share of itself; a sag moves fewer
+TURNED_DEG = 0.1  # or it turns the object by more; sags turn it by 0.03 deg at most, see docs/decisions/0079
 UNTIL_SLIP_N = 20  # steps of a press until slip, at most
 REACHES, FEWEST_N = 2.0, 4  # presses of an attempt: at most so many shear reaches, if known, but at least so many steps
 
@@ -31,6 +33,19 @@ def network_pair(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
         return np.stack([marker_array(finger.field, card.markers) for finger in pair.fingers])
     except ValueError as error:
         raise Refusal("out_of_distribution", str(error)) from error
+
+
+def shows_press(moved_mm: Floats, press_mm: float, lattice: Lattice) -> bool:
+    """Whether motion [2, rows, columns, 3] of both fingers over ``press_mm`` shows a press, and not a sag.
+
+    A press moves the markers by a share of itself. In a small contact it moves few of them, but turns the object.
+    """
+    by_mm = np.sort(np.hypot(moved_mm[..., 0], moved_mm[..., 1]), axis=None)
+    if by_mm[-FELT_BY_N] >= FELT * press_mm:
+        return True
+    place_mm = lattice.points_mm.reshape(-1, 2)
+    left_rad, right_rad = (carried_rad(place_mm, finger[..., :2].reshape(-1, 2)) for finger in moved_mm)
+    return abs(both_deg(left_rad, right_rad)) > TURNED_DEG
 
 
 @dataclass(slots=True)
@@ -85,12 +100,11 @@ class Descent:
 
     @property
     def felt(self) -> bool:
-        """Whether the steps show a press on something; a sagging object moves the markers far less."""
+        """Whether the steps show a press on something, and not a heavy object that sags."""
         steps = self._steps
         if steps is None or self._last is None:
             return False
-        moved_mm = np.sort(np.hypot(self._last[..., 0], self._last[..., 1]), axis=None)
-        return bool(moved_mm[-FELT_BY_N] >= FELT * steps.steps_n * steps.spec.step_mm)
+        return shows_press(self._last, steps.steps_n * steps.spec.step_mm, steps.spec.lattice)
 
     @property
     def worth_n(self) -> int:

@@ -29,7 +29,7 @@ def hangs_turned(both: PairObservation, left_deg: float) -> str:
 
     The gels show that its weight has turned it, alone or together with ``left_deg``, the turn left by earlier attempts.
     """
-    turn_deg = _both_deg(*(_shown_rad(finger) for finger in both.fingers))
+    turn_deg = both_deg(*(_shown_rad(finger) for finger in both.fingers))
     if not abs(turn_deg) <= HANGS_DEG:
         return (
             f"it hangs turned by {abs(turn_deg):.1f} deg or more: take it nearer to its centre of mass, or grip harder"
@@ -46,11 +46,11 @@ def turned_going_in(both: PairObservation, hung: PairObservation | None, left_de
     gels it shows. ``left_deg``: the turn left by earlier attempts.
     """
     turns_rad = [finger.slip.angle_rad for finger in both.fingers]
-    slid_deg = _both_deg(*(_shown_rad(finger) for finger in both.fingers))
+    slid_deg = both_deg(*(_shown_rad(finger) for finger in both.fingers))
     if hung is not None:
-        slid_deg -= _both_deg(*(_shown_rad(finger) for finger in hung.fingers))
+        slid_deg -= both_deg(*(_shown_rad(finger) for finger in hung.fingers))
     most_deg = max(abs(slid_deg), *(math.degrees(abs(turn_rad)) for turn_rad in turns_rad))
-    all_deg = abs(left_deg + _both_deg(*turns_rad))
+    all_deg = abs(left_deg + both_deg(*turns_rad))
     if not most_deg <= GOING_IN_DEG:
         return f"the gels show it turned by {most_deg:.1f} deg on the way down"
     if not all_deg <= STANDS_DEG:
@@ -103,7 +103,7 @@ def lasting_turn_deg(pressed: PairObservation, lifted: PairObservation) -> float
     """
     left, right = pressed.fingers
     turns_deg = math.degrees(left.slip.angle_rad), -math.degrees(right.slip.angle_rad)
-    back_deg = _both_deg(*map(_back_rad, pressed.fingers, lifted.fingers))
+    back_deg = both_deg(*map(_back_rad, pressed.fingers, lifted.fingers))
     if not np.isfinite([*turns_deg, back_deg]).all():
         return math.nan
     return BEYOND_SHOWN * (max(turns_deg, key=abs) - GIVEN_BACK * back_deg)
@@ -123,14 +123,17 @@ def _back_rad(pressed: Observation, lifted: Observation) -> float:
 def _shown_rad(observation: Observation) -> float:
     """Mean turn of the markers that are displaced from their places in the open gel."""
     field = observation.field
-    away = np.where(field.valid, np.hypot(*np.moveaxis(field.displacement_px, -1, 0)), 0.0)
+    return carried_rad(field.rest_px[field.valid], field.displacement_px[field.valid])
+
+
+def carried_rad(place: NDArray[np.float32], moved: NDArray[np.float32]) -> float:
+    """Mean turn of the points that the object carries, of points [n, 2] that moved by [n, 2] in the same unit."""
+    away = np.hypot(*moved.T)
     carried = away > CARRIED * float(away.max(initial=0.0))
-    if carried.sum() < FEWEST_N:
-        return 0.0
-    return _turn_rad(field.rest_px[carried], field.displacement_px[carried])
+    return _turn_rad(place[carried], moved[carried]) if carried.sum() >= FEWEST_N else 0.0
 
 
-def _both_deg(left_rad: float, right_rad: float) -> float:
+def both_deg(left_rad: float, right_rad: float) -> float:
     """Turn from both fingers, deg, signed as in the left one's picture: they look from opposite sides."""
     return math.degrees(0.5 * (left_rad - right_rad))
 

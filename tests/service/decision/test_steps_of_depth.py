@@ -128,15 +128,15 @@ def test_what_moves_the_markers_too_little_for_a_press_stops_nothing(
     made: Callable[..., ModelSet], monkeypatch
 ) -> None:
     """As when a heavy object sags in the air: the onset is awaited again, until slip stops the arm."""
-    monkeypatch.setattr(network_input, "FELT", 1e6)
+    monkeypatch.setattr(network_input, "shows_press", lambda *_: False)
     _, replies = first_attempt(made())
     assert answers(replies)[0] == "slip"
 
 
 def test_a_press_that_was_none_is_followed_by_the_next_one(made: Callable[..., ModelSet], monkeypatch) -> None:
     """The markers' motion counts from the dismissed onset on, and the object's whole press is read again."""
-    felt, awaits, dismissed = network_input.FELT, Attempt._await_onset, []
-    monkeypatch.setattr(network_input, "FELT", 1e6)
+    shows_press, awaits, dismissed = network_input.shows_press, Attempt._await_onset, []
+    monkeypatch.setattr(network_input, "shows_press", lambda *_: False)
 
     def sags_once(attempt: Attempt) -> None:
         newest = attempt.ring[-1]
@@ -144,7 +144,7 @@ def test_a_press_that_was_none_is_followed_by_the_next_one(made: Callable[..., M
         assert list(attempt.ring) == [newest]
         dismissed.append((attempt, newest.captured_ns))
         assert attempt.onset_ns is None
-        monkeypatch.setattr(network_input, "FELT", felt)
+        monkeypatch.setattr(network_input, "shows_press", shows_press)
 
     monkeypatch.setattr(Attempt, "_await_onset", sags_once)
     _, replies = first_attempt(made())
