@@ -13,7 +13,7 @@ from robot_client.insertion.state import State
 from robot_client.ports import DriverError
 from robot_client.session.commission.record import RECORD, Record, read_record
 from robot_client.session.commission.run import FITS, PRESSES, REACH, Commissioning, Ended, errors
-from robot_client.session.commission.wiring import SIDES, WENT_IN, probe_of
+from robot_client.session.commission.wiring import SIDES, probe_of
 from robot_client.session.cycle import CycleSettings, is_empty
 from robot_client.session.recorder import Recorder
 from robot_client.session.runner import Runner
@@ -65,8 +65,7 @@ class Felt:
     """Observer that keeps a probe's one answer."""
 
     def __init__(self) -> None:
-        self.answer: wire.Correction | None = None
-        self.ending = WENT_IN
+        self.answer: wire.Correction | wire.NoDecision | None = None
         self.gels: dict[Finger, str] = {}
 
     def on_event(self, state: State, event: Event) -> None:  # noqa: ARG002 the protocol's signature
@@ -74,10 +73,8 @@ class Felt:
             return
         if isinstance(event.message, wire.ServiceHello):
             self.gels = {camera.finger: camera.gel for camera in event.message.cameras}
-        if isinstance(event.message, wire.Correction):
+        if isinstance(event.message, wire.Correction | wire.NoDecision):
             self.answer = event.message
-        elif isinstance(event.message, wire.NoDecision):
-            self.ending = f"{event.message.reason}: {event.message.detail}"
 
     def summary(self) -> dict[str, object]:
         """Empty: the log has everything."""
@@ -97,7 +94,7 @@ class Probing:
         log = Recorder(self._out / "episodes" / f"{plan.insertion_id}.jsonl", plan)
         runner = Runner(plan, *live_ports(self._settings, plan), log, (felt,))
         state = await runner.run()
-        done = probe_of(plan.insertion_id, plan.approach, felt.answer, felt.ending)
+        done = probe_of(plan.insertion_id, plan.approach, felt.answer)
         return Ended(done, state.phase, state.reason, felt.gels)
 
     async def begin(self) -> None:

@@ -114,9 +114,8 @@ def _on_begin(state: State, event: Begin) -> Result:
         continues=plan.continues,
         takes_afresh=plan.fixture,
     )
-    deadline_s = event.at_s + plan.timeouts.greeting_s
-    state = replace(state, phase=Phase.GREETING, pose=event.pose, held=event.held, deadline_s=deadline_s)
-    return state, (send(hello),)
+    began = replace(state, phase=Phase.GREETING, pose=event.pose, held=event.held, no_decisions=plan.no_decisions)
+    return replace(began, deadline_s=event.at_s + plan.timeouts.greeting_s), (send(hello),)
 
 
 def _on_approached(state: State, event: Arrived) -> Result:

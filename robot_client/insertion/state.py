@@ -65,6 +65,8 @@ class Plan(Contract):
     probe ends above the gap again after its first decision, whatever that is: it follows no correction. ``until_slip``:
     a probe that presses on until the gel slides, to identify the gel.
 
+    ``no_decisions``: number of attempts in a row without a decision before the object was regrasped.
+
     ``creep_allowance_mm``: extra depth of the TCP below ``expected_depth_mm`` where earlier attempts pushed the object
     up in the hand, so that its bottom gets to full depth. 0: none. ``clearance_mm``: the object's bottom above the
     blocks' tops at the approach, as far as known.
@@ -83,6 +85,7 @@ class Plan(Contract):
     depth_tolerance_mm: float = 1.0
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)
     max_no_decisions: int = 2
+    no_decisions: int = 0
     purpose: Literal["insert", "probe"] = "insert"
     until_slip: bool = False
     client: str = "tactile-insertion robot client"
@@ -219,6 +222,7 @@ class State:
             update={
                 "insertion_id": insertion_id,
                 "continues": plan.insertion_id,
+                "no_decisions": self.no_decisions,
                 "approach": self.armed.at_height(plan.approach.z_mm),
                 "limits": plan.limits.model_copy(update={"max_attempts": left_n}),
                 "ramps": plan.ramps.model_copy(update={"descend": descend}),

@@ -189,10 +189,9 @@ class Armed(_Message):
 
 
 class Watching(_Message):
-    """New frames of both fingers were judged and show no reason to stop: the arm may go on for a little longer.
+    """New frames of both fingers show no reason to stop: the client moves while the newest is younger than its lease.
 
-    ``frame_captured_ns`` is the capture of the newest judged frame, of the finger whose frame is older; ``judged_ns``
-    is when this was sent. The client moves only while the newest capture is younger than its lease.
+    ``frame_captured_ns``: capture of the newest judged frame, of the older finger; ``judged_ns``: when this was sent.
     """
 
     type: Literal["watching"] = "watching"
@@ -231,12 +230,13 @@ class Correction(_Message):
 
 
 class NoDecision(_Message):
-    """No correction can be trusted for this attempt; the client must not guess one."""
+    """No correction can be trusted for this attempt; the client must not guess one. ``turns_deg``: see `Correction`."""
 
     type: Literal["no_decision"] = "no_decision"
     attempt: Attempt
     reason: NoDecisionReason
     detail: str
+    turns_deg: tuple[float, float] | None = None
 
 
 class Finished(_Message):

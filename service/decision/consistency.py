@@ -120,9 +120,7 @@ class Consistency:
 
     def add(self, correction: Correction, both: PairObservation) -> None:
         """Add an attempt's correction and last pair. Raises Refusal that names the likely causes."""
-        self._one_sided = max(0, self._one_sided + one_sided(both))
-        if self._one_sided >= ONE_SIDED:
-            raise Refusal("contradictory", "both fingers see the object turn the same way: one picture is mirrored")
+        self.add_sides(both)
         self._attempts_n += 1
         if self._attempts_n > CHECKED_N:
             return
@@ -136,6 +134,12 @@ class Consistency:
         self._sure_once |= sure
         if causes := self.causes():
             raise Refusal("contradictory", f"the estimates contradict the moves: {'; or '.join(causes)}")
+
+    def add_sides(self, both: PairObservation) -> None:
+        """Add the last pair of an attempt, decided or not. Raises Refusal where one picture is mirrored."""
+        self._one_sided = max(0, self._one_sided + one_sided(both))
+        if self._one_sided >= ONE_SIDED:
+            raise Refusal("contradictory", "both fingers see the object turn the same way: one picture is mirrored")
 
     def causes(self) -> list[str]:
         """The causes that explain the attempts, best first; empty while a good cell explains them well enough."""

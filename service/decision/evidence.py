@@ -149,7 +149,10 @@ def check_strangeness(card: ModelCard, outputs: dict[str, Array]) -> None:
     limit = card.pressing.strangeness_limit if card.pressing else None
     if limit is not None and not float(outputs["strangeness"][0, 0]) <= limit:
         strangeness = float(outputs["strangeness"][0, 0])
-        detail = f"the gels move as in no training: strangeness {strangeness:.1f}, at most {limit:.1f} is known"
+        detail = (
+            "the gels do not move as one pressed object moves them: is a camera mirrored, turned, frozen or wrongly"
+            f" scaled? (strangeness {strangeness:.1f}, at most {limit:.1f})"
+        )
         raise Refusal("out_of_distribution", detail)
 
 

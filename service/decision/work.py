@@ -181,7 +181,6 @@ def correction(
     insertion_id: str, attempt: Attempt, evidence: Evidence, command: Command, latency_ms: dict[str, float]
 ) -> wire.Correction:
     """The message with a command and its evidence."""
-    turns = turns_deg(attempt.ring[-1])
     return wire.Correction(
         insertion_id=insertion_id,
         attempt=attempt.arm.attempt,
@@ -193,8 +192,14 @@ def correction(
         controller=command.controller,
         reason=command.reason,
         latency_ms=latency_ms,
-        turns_deg=turns if all(map(math.isfinite, turns)) else None,
+        turns_deg=shown_turns_deg(attempt),
     )
+
+
+def shown_turns_deg(attempt: Attempt) -> tuple[float, float] | None:
+    """Turn of the object as each finger saw it last, clockwise in its picture; None where one saw none."""
+    turns = turns_deg(attempt.ring[-1]) if attempt.ring else (math.nan, math.nan)
+    return turns if all(map(math.isfinite, turns)) else None
 
 
 def overdue(attempt: Attempt, waited_s: float, needed: int, deadlines: Deadlines) -> Refusal | None:

@@ -13,7 +13,7 @@ from service.decision.consistency import Consistency
 from service.decision.controllers import Command, Controller
 from service.decision.evidence import Evidence, Refusal
 from service.decision.models import ModelSet
-from service.decision.work import check_evidence, correction, overdue
+from service.decision.work import check_evidence, correction, overdue, shown_turns_deg
 from service.settings import Deadlines
 
 Decision = wire.Correction | wire.NoDecision
@@ -71,7 +71,7 @@ class Decider:
             refusal = overdue(attempt, _stood_s(attempt, now_ns), self.models.card.frames_per_decision, self.deadlines)
             return None if refusal is None else self._refuse(attempt, refusal)
         if attempt.result.evidence is None:
-            return self._refuse(attempt, attempt.result.refusal or Refusal("non_finite", "no evidence"))
+            return self._refuse(attempt, self._explained(attempt))
         return self._correct(attempt, attempt.result.evidence, attempt.result.latency_ms, now_ns)
 
     def _correct(self, attempt: Attempt, evidence: Evidence, latency_ms: dict[str, float], now_ns: int) -> Decision:
@@ -91,6 +91,17 @@ class Decider:
         self.command = command
         return decided.model_copy(update={"latency_ms": latency_ms})
 
+    def _explained(self, attempt: Attempt) -> Refusal:
+        """Why the networks gave no evidence: a mirrored picture is named, if that is what makes the fields strange."""
+        assert attempt.result is not None
+        refusal = attempt.result.refusal or Refusal("non_finite", "no evidence")
+        if refusal.reason == "out_of_distribution" and self.consistency is not None and attempt.ring:
+            try:
+                self.consistency.add_sides(attempt.ring[-1])
+            except Refusal as mirrored:
+                return mirrored
+        return refusal
+
     def _refuse(self, attempt: Attempt, refusal: Refusal) -> Decision:
         self.controller.blocked_without_evidence()
         return wire.NoDecision(
@@ -98,6 +109,7 @@ class Decider:
             attempt=attempt.arm.attempt,
             reason=refusal.reason,
             detail=str(refusal),
+            turns_deg=shown_turns_deg(attempt),
         )
 
 

@@ -16,7 +16,7 @@ from simulation.closed_loop.job import Job, Outcome, Perception, Who
 from simulation.closed_loop.statistics import Row
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import World, files_in, known_object, load_objects, load_world, object_names
-from simulation.studies.wiring import by_fit, carried_out, named_wirings, probes
+from simulation.studies.wiring import by_corner, carried_out, named_wirings, probes
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def _miswired(options: Options, made_by: str, log: Path) -> dict[str, str]:
     """Mistake of each world that has one, found with the first object with which all four probes were carried out."""
     worlds, objects = _what(options)
     named, left = dict[str, str](), list(worlds)
-    for name in by_fit(objects):
+    for name in by_corner(objects):
         jobs = [probes(world, name, options.seed, **_how(options)) for world in left]
         todo = [Task(options.models, job, made_by) for four in jobs for job in four]
         rows = iter(campaign.run(todo, log, workers=options.workers, ray=options.ray, title="probes of the wiring"))

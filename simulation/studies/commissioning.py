@@ -30,7 +30,7 @@ from simulation.scene.scene import Scene
 from simulation.scene.worlds import World
 from simulation.studies.episodes import Episode, play
 from simulation.studies.pace.points import client, with_care
-from simulation.studies.wiring import by_fit, carried_out, named_mistakes, probes, seed_of
+from simulation.studies.wiring import by_corner, carried_out, named_mistakes, probes, seed_of
 
 COUNTED = (
     *("direction_right", "direction_n", "mae_x_mm", "mae_theta_deg", "covered_x", "covered_theta"),
@@ -85,8 +85,8 @@ class Cell:
         return [{**job, "purpose": "probe"} for job in self._jobs(names, starts, PROBES)]
 
     def signs(self) -> Iterator[list[Row]]:
-        """The four probes of the wiring check with each object, the worst fit first."""
-        for name in by_fit(self.objects):
+        """The four probes of the wiring check with each object, the one that tells the yaw best first."""
+        for name in by_corner(self.objects):
             yield probes(self.world, name, self.seed, **self._asked(name))
 
     def _jobs(self, names: Sequence[str], starts: ArrayLike, purpose: int) -> list[Row]:

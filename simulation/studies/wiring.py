@@ -16,15 +16,17 @@ SIGNS = 4
 """Separates the seeds of these probes from those of everything else that is played in a cell."""
 
 
-def by_fit(objects: Mapping[str, Scene]) -> list[str]:
-    """Their names, the one that fits its gap worst when turned first: its probes surely touch both blocks."""
-    turned_deg = SIDES[0][1]
+def by_corner(objects: Mapping[str, Scene]) -> list[str]:
+    """Their names, the one whose first corner to touch lies farthest out in x and y first: it tells the yaw best.
 
-    def too_wide_mm(name: str) -> float:
-        scene = objects[name]
-        return 2.0 * half_width_mm(scene.object.footprint_mm, turned_deg) - scene.blocks.gap_mm
+    That corner is half the width away in x. In y it is away by what a turn adds to the width, over the turn.
+    """
 
-    return sorted(objects, key=too_wide_mm, reverse=True)
+    def reach_mm2(name: str) -> float:
+        straight_mm, turned_mm = (half_width_mm(objects[name].object.footprint_mm, deg) for deg in (0.0, SIDES[0][1]))
+        return straight_mm * (turned_mm - straight_mm)
+
+    return sorted(objects, key=reach_mm2, reverse=True)
 
 
 def seed_of(seed: int, purpose: int, index: int) -> int:

@@ -32,7 +32,7 @@ from training.metrics.figures import Predictions, Sample, Scales, by_split, figu
 from training.metrics.joint import Densities
 from training.networks import build, network_class
 from training.networks.decider import Decider
-from training.networks.pressing import DECISION_STEPS
+from training.networks.pressing import DECISION_STEPS, FEWEST_STEPS
 
 EVALUATION_BATCH = 32
 MOST_SCORED = 2000
@@ -110,12 +110,13 @@ class Trainer:
         last = batch.length.clamp(max=self.most_steps) - 1
         return self.network.read_steps(fields, batch.geometry)[torch.arange(len(last)), last]
 
-    def some_steps(self, chosen: NDArray[np.int64]) -> Tensor:
-        """Normalised motion [N, 2, 2, rows, columns] of a step of each decision, in turn of all that may be last."""
-        batch = decisions(self.trials, chosen, None, pictures=False)
+    def decided_steps(self, chosen: NDArray[np.int64], rng: np.random.Generator | None = None) -> Tensor:
+        """Normalised steps [N, 2, 3, rows, columns], one of each decision: in turn of those at which it may be made."""
+        batch = decisions(self.trials, chosen, rng, pictures=False)
         assert batch.length is not None
         rows = torch.arange(len(chosen))
-        return self.normalised(batch)[rows, rows % batch.length.clamp(max=self.most_steps), :, :2]
+        after = FEWEST_STEPS + rows % (DECISION_STEPS - FEWEST_STEPS + 1)
+        return self.normalised(batch)[rows, torch.minimum(after, batch.length) - 1]
 
     def predict(self, chosen: NDArray[np.int64], *, pictures: bool) -> Predictions:
         state = self.states(chosen, pictures=pictures)
@@ -262,7 +263,7 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     joint_scales, joint_tables = _scored(trainer, trainer.predict_density, pictures=pictures)
     pressing, expectations = None, Expectations()
     if isinstance(trainer.trials, Pressed):
-        pressing = learn_usual(trainer.network, trainer.trials, trainer.some_steps)
+        pressing = learn_usual(trainer.network, trainer.trials, trainer.decided_steps)
         errors = trainer.trials.error[trainer.trials.of("train")].astype(np.float64)
         expectations = of_errors(errors, expectations)
     checkpoint = Checkpoint(

@@ -13,12 +13,14 @@ from service.contract.model_card import CONDITIONS, Lattice, Role
 from training.networks.affine import AffineFit
 from training.networks.decider import Decider
 from training.networks.settings import NetworkConfig
+from training.networks.strangeness import Strangeness
 
 LATTICE = Lattice(rows=13, columns=13, pitch_mm=1.5)
 STEP_MM = 0.15
 STEPS = 11
 """Steps in training; the card states how many of them a decision takes."""
-DECISION_STEPS = 8
+FEWEST_STEPS, DECISION_STEPS = 4, 8
+"""Steps of a press after which the service decides, unless slip ends it earlier."""
 USUAL = (60.0, 60.0, 25.0, 0.8, 10.0, 0.2)
 """A middle value of each condition: the network reads the logarithm of the stated value over it."""
 KNOWN_FEATURES = 2 * len(CONDITIONS)
@@ -27,52 +29,6 @@ VISIBLE = 0.5
 LEAST = 1e-3
 SHARES = slice(12, 24)
 """The affine fit's numbers for the motion of the patch that moves with the object."""
-SHAPES = 48
-"""Directions in which training fields vary; any other component of a field is strange."""
-
-
-class Strangeness(nn.Module):
-    """How unlike training a field is, regardless of its size: [N, 2, 2, rows, columns] -> [N, 1], usually near 1.
-
-    Training fields span few directions. One part is the component outside them, relative to its usual size; the other
-    is the distance along them, relative to their spread (a Mahalanobis distance). Both fingers are judged together:
-    each may look normal while no object could cause the pair.
-    """
-
-    mean: Tensor
-    axes: Tensor
-    spread: Tensor
-    rest: Tensor
-    limit: Tensor
-
-    def __init__(self, numbers: int) -> None:
-        super().__init__()
-        self.register_buffer("mean", torch.zeros(numbers))
-        self.register_buffer("axes", torch.zeros(numbers, SHAPES))
-        self.register_buffer("spread", torch.ones(SHAPES))
-        self.register_buffer("rest", torch.ones(()))
-        self.register_buffer("limit", torch.ones(()))
-
-    def forward(self, fields: Tensor) -> Tensor:
-        away = self._shape(fields) - self.mean
-        along = away @ self.axes
-        beside = (away.square().sum(1) - along.square().sum(1)).clamp_min(0.0) / self.rest
-        return (0.5 * beside + 0.5 * (along / self.spread).square().mean(1)).sqrt()[:, None]
-
-    def learn(self, fields: Tensor) -> None:
-        """Fit the model of usual fields to training."""
-        shape = self._shape(fields)
-        self.mean.copy_(shape.mean(0))
-        _, values, axes = torch.linalg.svd(shape - self.mean, full_matrices=False)
-        count = min(SHAPES, len(values))
-        self.axes[:, :count] = axes[:count].T
-        self.spread[:count] = (values[:count] / len(shape) ** 0.5).clamp_min(LEAST)
-        self.rest.copy_((values[count:].square().sum() / len(shape)).clamp_min(LEAST))
-
-    @staticmethod
-    def _shape(fields: Tensor) -> Tensor:
-        flat = fields.flatten(1)
-        return flat / (flat.square().mean(1, keepdim=True).sqrt() + LEAST)
 
 
 class PressingNetwork(Decider):
@@ -84,7 +40,7 @@ class PressingNetwork(Decider):
     def __init__(self, settings: NetworkConfig, classes: int, sensor: Sensor) -> None:
         super().__init__(settings, classes, sensor)
         self.shares = nn.Linear(SHARES.stop - SHARES.start, SHARE_FEATURES)
-        self.strange = Strangeness(4 * LATTICE.rows * LATTICE.columns)
+        self.strange = Strangeness()
 
     def grid(self, sensor: Sensor) -> tuple[int, int]:  # noqa: ARG002 any sensor is read on the same lattice
         """Rows and columns that the trunk reads."""
@@ -108,7 +64,7 @@ class PressingNetwork(Decider):
         assert isinstance(affine, AffineFit)
         raw = affine.raw(fields)
         read = torch.cat([self.trunk.read_maps(maps), affine.read_raw(raw)], 1)
-        return torch.cat([read, raw[:, SHARES], self.strange(moved)], 1)
+        return torch.cat([read, raw[:, SHARES], self.strange(raw / affine.spread, fields)], 1)
 
     def advance(self, features: Tensor, geometry: Tensor, state: Tensor) -> Tensor:
         """One step; ``geometry`` [B, 6] as `CONDITIONS`, 0 where unknown."""

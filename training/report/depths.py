@@ -1,6 +1,6 @@
 """What a network that reads depth gains from pressing further, the coverage of its intervals, and faulty inputs."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from reporting.table import Table, table
 from service.contract import ContractError
 from training.config import RunConfig
 from training.data.dataset import Source, open_source
+from training.data.faults import SHIFTS
 from training.data.labels import CLASSES
 from training.data.pressed import Pressed
 from training.data.reading import decisions, load
@@ -50,8 +51,9 @@ def write_depths(run: Path, out: Path, source: Source | None = None) -> Path:
     data["reach"] = by_reach(trainer, checkpoint)
     limit = oracle_rows(source or open_source(config.data.path), run / "oracle")
     data["limit"] = {f"{split}, true motion": limit[f"{split}/all"] for split in HELD if f"{split}/all" in limit}
-    data["strange"] = {name: {"auroc": value} for name, value in strangeness_aurocs(trainer).items()}
-    publish(out, "depths", page(*_parts(checkpoint, data)), data)
+    if checkpoint.pressing and checkpoint.pressing.strangeness_limit:
+        data["strange"] = faulty_inputs(trainer, checkpoint.pressing.strangeness_limit)
+    publish(out, "depths", page(*_parts(checkpoint, samples.sha256, data)), data)
     return out / "depths.md"
 
 
@@ -137,14 +139,24 @@ def by_reach(trainer: Trainer, checkpoint: Checkpoint) -> Rows:
     }
 
 
-def strangeness_aurocs(trainer: Trainer) -> dict[str, float]:
-    """How well strangeness tells each named shift from usual decisions: 1 always, 0.5 not at all."""
+def faulty_inputs(trainer: Trainer, limit: float) -> Rows:
+    """How well strangeness tells each fault from usual decisions (1 always, 0.5 not at all), and the share refused."""
     network = trainer.network
     assert isinstance(network, PressingNetwork)
-    fields = trainer.some_steps(_held(trainer, "validation"))
-    with torch.inference_mode():
-        usual = network.strange(fields)[:, 0].numpy()
-        return {name: auroc(usual, network.strange(shift(fields))[:, 0].numpy()) for name, shift in SHIFTS.items()}
+    steps = trainer.decided_steps(_held(trainer, "validation"))
+    moved, visible = steps[:, :, :2], steps[:, :, 2:]
+
+    def strangeness(shifted: Tensor) -> NDArray[np.float32]:
+        with torch.inference_mode():
+            each: Tensor = network.strangeness(network.encode(torch.cat([shifted, visible], 2)))
+        return each[:, 0].numpy()
+
+    usual = strangeness(moved)
+    shown = {"none": usual} | {name: strangeness(shift(moved)) for name, shift in SHIFTS.items()}
+    return {
+        name: {"auroc": auroc(usual, each), "refused": float((each > limit).mean()), "decisions": len(each)}
+        for name, each in shown.items()
+    }
 
 
 def auroc(low: NDArray[np.float32], high: NDArray[np.float32]) -> float:
@@ -154,51 +166,7 @@ def auroc(low: NDArray[np.float32], high: NDArray[np.float32]) -> float:
     return float((below + upto).mean() / (2 * len(low)))
 
 
-def _one(finger: int, change: Callable[[Tensor], Tensor]) -> Callable[[Tensor], Tensor]:
-    def shifted(fields: Tensor) -> Tensor:
-        changed = fields.clone()
-        changed[:, finger] = change(fields[:, finger])
-        return changed
-
-    return shifted
-
-
-def _mirrored(one: Tensor) -> Tensor:
-    return one.flip(-1) * torch.tensor([-1.0, 1.0])[:, None, None]
-
-
-def _quarter_turn(one: Tensor) -> Tensor:
-    turned = one.rot90(1, (-2, -1))
-    return torch.stack([turned[:, 1], -turned[:, 0]], 1)
-
-
-def _noise(one: Tensor) -> Tensor:
-    size = one.square().mean((1, 2, 3), keepdim=True).sqrt()
-    return one + 0.5 * size * torch.randn(one.shape, generator=torch.Generator().manual_seed(0))
-
-
-def _jump(one: Tensor) -> Tensor:
-    """Half of the markers are taken for their neighbours: a motion of a whole pitch that nothing made."""
-    jumped = one.clone()
-    jumped[..., : one.shape[-1] // 2] += one.square().mean().sqrt() * 3.0
-    return jumped
-
-
-SHIFTS: dict[str, Callable[[Tensor], Tensor]] = {
-    "left camera mirrored": _one(0, _mirrored),
-    "right camera mirrored": _one(1, _mirrored),
-    "left camera upside down": _one(0, lambda one: -one.flip(-1).flip(-2)),
-    "left camera turned by 90 deg": _one(0, _quarter_turn),
-    "left camera frozen": _one(0, torch.zeros_like),
-    "left camera shown twice": lambda fields: fields[:, :1].expand_as(fields),
-    "motion with the wrong sign": lambda fields: -fields,
-    "left camera at twice the scale": _one(0, lambda one: 2.0 * one),
-    "markers taken for their neighbours": _one(0, _jump),
-    "fields of noise": _one(0, _noise),
-}
-
-
-def _parts(checkpoint: Checkpoint, data: dict[str, Rows]) -> Iterator[str | Table]:
+def _parts(checkpoint: Checkpoint, measured_sha256: str, data: dict[str, Rows]) -> Iterator[str | Table]:
     depth = f"{DECISION_STEPS * STEP_MM:.1f} mm"
     right = [(split, data["depths"].get(f"{split}, {depth}")) for split in HELD]
     shares = " and ".join(f"{number(row['accuracy'], '.1%')} on `{split}`" for split, row in right if row)
@@ -207,11 +175,11 @@ def _parts(checkpoint: Checkpoint, data: dict[str, Rows]) -> Iterator[str | Tabl
 
         After {depth} of pressing, the network has the direction right in {shares}.
 
-        Written by `python -m training depths`. Network `{checkpoint.name}`, data
-        `{checkpoint.training_data_sha256[:12]}`, commit `{checkpoint.git_commit[:12]}`; all figures are simulated. Each
-        decision uses a camera of another rate, the tracker's error, and gap width, grasp height, grip and shear reach
-        as a cell states them. `test` holds cells from other draws than those of the training. Intervals are 95 %
-        Wilson intervals.
+        Written by `python -m training depths`. Network `{checkpoint.name}`, trained on data
+        `{checkpoint.training_data_sha256[:12]}` at commit `{checkpoint.git_commit[:12]}` and measured on data
+        `{measured_sha256[:12]}`; all figures are simulated. Each decision uses a camera of another rate, the tracker's
+        error, and gap width, grasp height, grip and shear reach as a cell states them. `test` holds cells from other
+        draws than those of the training. Intervals are 95 % Wilson intervals.
         """
     yield _table(data["depths"])
     yield """
@@ -232,13 +200,20 @@ def _parts(checkpoint: Checkpoint, data: dict[str, Rows]) -> Iterator[str | Tabl
     if data["reach"]:
         yield "## By shear reach, held-out decisions"
         yield _table(data["reach"])
-    yield """
-        ## Detection of faulty inputs
+    if data.get("strange"):
+        yield """
+            ## Detection of faulty inputs
 
-        AUROC of the strangeness score between validation decisions and the same decisions with one fault. Swapped
-        fingers look like another valid error of the object, so no single decision reveals them.
-        """
-    yield table(data["strange"].items(), ("shift", 0), ("AUROC", "1.auroc", ".3f"))
+            Validation decisions as they are, and with one fault each. *AUROC*: the probability that strangeness is
+            higher with the fault than without it. *Refused*: the share above the card's limit. Swapped fingers look
+            like another valid error of the object, so no single decision reveals them.
+            """
+        yield table(
+            data["strange"].items(),
+            ("fault", 0),
+            ("AUROC", lambda row: row[1]["auroc"] if row[0] != "none" else None, ".3f"),
+            ("refused", lambda row: wilson(row[1]["refused"] * row[1]["decisions"], int(row[1]["decisions"])), ".1%"),
+        )
 
 
 def _table(rows: Rows, *more: tuple[str, str, str], first: str = "pressed") -> Table:

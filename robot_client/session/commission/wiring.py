@@ -10,7 +10,7 @@ from service.contract.words.wiring import WIRINGS
 SIDES = ((8.0, 8.0), (-8.0, -8.0), (8.0, -8.0), (-8.0, 8.0))
 """Errors of the wiring check: mm and deg. Straight above the edges, a yaw to either side looks alike."""
 CLEAR_SHARE = 0.2  # share of the known error below which estimates show no sign
-LEAST_TURN_DEG, LIKE, LEAST_TURNS, ALIKE = 0.03, 0.5, 2, 0.5  # turns of similar size, and their share that follows x
+LEAST_TURN_DEG, LIKE, LEAST_TURNS, ALIKE = 0.08, 0.5, 2, 0.5  # turns of similar size, and their share that follows x
 WENT_IN_SIGMA_MM, UNSTATED_SIGMA = 1.5, 5.0
 OFF_MM, OFF_DEG = 5.0, 8.0  # largest common offset of two opposite sides in a cell with a correct frame
 WENT_IN = "went in without a touch"
@@ -124,11 +124,14 @@ def _mirrored(signs: tuple[Probe, ...]) -> str:
     return f"both fingers see the object turn the same way: the {finger} picture is mirrored"
 
 
-def probe_of(plan_id: str, approach: WorkPose, answer: wire.Correction | None, ending: str) -> Probe:
-    """A probe in its stored form; ``ending`` is how it ended without an answer."""
-    probe = Probe(x_mm=approach.x_mm, theta_deg=approach.yaw_deg, said=ending, insertion_id=plan_id)
+def probe_of(plan_id: str, approach: WorkPose, answer: wire.Correction | wire.NoDecision | None) -> Probe:
+    """A probe in its stored form; without an ``answer`` it went in."""
+    probe = Probe(x_mm=approach.x_mm, theta_deg=approach.yaw_deg, said=WENT_IN, insertion_id=plan_id)
     if answer is None:
         return probe
+    if isinstance(answer, wire.NoDecision):
+        said = f"{answer.reason}: {answer.detail}"
+        return probe.model_copy(update={"said": said, "turns_deg": answer.turns_deg})
     felt = answer.estimate
     estimate = {"estimate_x_mm": felt.dx_mm, "estimate_theta_deg": felt.dtheta_deg}
     sigma = {"sigma_x_mm": felt.sigma_x_mm, "sigma_theta_deg": felt.sigma_theta_deg}

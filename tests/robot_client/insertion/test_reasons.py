@@ -24,6 +24,7 @@ from tests.robot_client.insertion.stories import (
     at,
     correction,
     hello,
+    no_decision,
     run,
     service,
     slip,
@@ -136,6 +137,7 @@ def test_a_turned_object_is_taken_afresh_with_the_attempts_that_are_left_of_thre
     if again is not None:
         last = APPROACH.corrected(-3.0 * (attempt - 1), -2.0 * (attempt - 1))
         assert (again.insertion_id, again.continues, again.approach) == ("next", ID, last)
+        assert replace(state, no_decisions=2).afresh("next").no_decisions == 2
 
 
 @pytest.mark.parametrize(("before_mm_s", "after_mm_s"), [(10.0, 5.0), (6.0, 4.0), (3.0, 3.0)])
@@ -276,3 +278,13 @@ def test_a_fast_leg_is_accounted_for_by_itself_and_a_decision_that_tells_no_time
 def test_the_service_is_told_when_it_was_greeted():
     _, (greeting,) = step(State(PLAN), Begin(at_s=12.5, pose=APPROACH))
     assert greeting.message.sent_ns == 12_500_000_000
+
+
+@pytest.mark.parametrize(("before_n", "goes_on"), [(0, True), (1, True), (2, False)])
+def test_attempts_without_a_decision_count_across_a_regrasp(before_n, goes_on):
+    """Two in a row are allowed; a correction in between starts anew."""
+    state, _ = run(TO_DECISION, State(PLAN.model_copy(update={"no_decisions": before_n})))
+    undecided, _ = step(state, service(no_decision(1)))
+    assert (undecided.phase is not Phase.FAILED) == goes_on
+    corrected, _ = step(state, service(correction(1)))
+    assert corrected.no_decisions == 0

@@ -86,7 +86,7 @@ class Cell:
         answer = felt(self.sign * 0.7 * x_mm, 0.7 * theta_deg)
         failed = len(self.probed) == self.fails_at
         phase = Phase.FAILED if failed else Phase.PROBED
-        return Ended(probe_of("p", pose, answer, ""), phase, "arm: tilt" if failed else "", self.gels)
+        return Ended(probe_of("p", pose, answer), phase, "arm: tilt" if failed else "", self.gels)
 
     async def fetch(self):
         self.fetched_n += 1

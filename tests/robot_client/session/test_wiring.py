@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_client.insertion.geometry import WorkPose
-from robot_client.session.commission.wiring import SIDES, WENT_IN, mistakes, probe_of
+from robot_client.session.commission.wiring import SIDES, mistakes, probe_of
 from service.contract import wire
 from service.contract.words.wiring import WIRINGS
 from tests.robot_client.insertion.stories import correction
@@ -18,16 +18,23 @@ def felt(x_mm, theta_deg, sigmas=(2.0, 4.0), turns=None):
     return correction(1).model_copy(update=update)
 
 
-def answers(signs=(1, 1), off=(0.0, 0.0), ending="", turned=(-0.2, 0.2)):
-    """Answers of a cell with these signs and offsets on the four sides; ``turned``: at +x."""
+def undecided(reason, turns=None):
+    """No decision for this reason."""
+    return wire.NoDecision(insertion_id="p", attempt=1, reason=reason, detail="why", turns_deg=turns)
+
+
+def answers(signs=(1, 1), off=(0.0, 0.0), reason="", turned=(-0.2, 0.2)):
+    """Answers of a cell with these signs and offsets on the four sides, or none; ``turned``: at +x."""
     for x, theta in SIDES:
-        answer = felt(
-            signs[0] * 0.7 * x + off[0],
-            signs[1] * 0.7 * theta + off[1],
-            turns=tuple(turn * x / 8.0 for turn in turned),
-        )
+        turns = tuple(turn * x / 8.0 for turn in turned)
+        answer = felt(signs[0] * 0.7 * x + off[0], signs[1] * 0.7 * theta + off[1], turns=turns)
         at_pose = WorkPose(x_mm=x, y_mm=0.0, z_mm=35.0, yaw_deg=theta)
-        yield probe_of("p", at_pose, None if ending else answer, ending)
+        yield probe_of("p", at_pose, undecided(reason, turns) if reason else answer)
+
+
+def all_went_in():
+    """Probes that went in on all four sides."""
+    return tuple(probe_of("p", WorkPose(x_mm=x, y_mm=0.0, z_mm=35.0, yaw_deg=theta), None) for x, theta in SIDES)
 
 
 @pytest.mark.parametrize("signs", WIRINGS)
@@ -41,13 +48,18 @@ def test_a_cell_that_is_wired_wrong_is_named_by_its_signs(signs):
         ({"off": (6.0, 0.0)}, "mm in x"),
         ({"off": (0.0, -9.0)}, "deg in yaw"),
         ({"signs": (0, 1)}, "x"),
-        ({"ending": "contradictory: mirrored"}, "mirrored"),
-        ({"ending": WENT_IN}, "nothing was felt"),
+        ({"reason": "contradictory"}, "contradictory: why"),
+        ({"reason": "out_of_distribution"}, "out_of_distribution: why"),
     ],
 )
 def test_a_cell_that_is_framed_wrong_or_feels_nothing_is_named(wrong, says):
     (named,) = mistakes(tuple(answers(**wrong)))
     assert says in named
+
+
+def test_a_cell_where_everything_goes_in_feels_nothing():
+    (named,) = mistakes(all_went_in())
+    assert "nothing was felt" in named
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-1.5, 1.5))
@@ -62,16 +74,16 @@ def test_a_yaw_that_is_not_felt_is_no_mistake_and_leaves_both_causes():
 
 @pytest.mark.parametrize(("turned", "finger"), [((0.2, 0.15), "left"), ((-0.15, -0.2), "right")])
 def test_one_mirrored_picture_is_named_by_the_turns_that_both_fingers_see(turned, finger):
-    (named,) = mistakes(tuple(answers((0, 0), turned=turned)))
-    assert f"the {finger} picture is mirrored" in named
+    for cell in (answers((0, 0), turned=turned), answers(reason="out_of_distribution", turned=turned)):
+        (named,) = mistakes(tuple(cell))
+        assert f"the {finger} picture is mirrored" in named
     assert mistakes(tuple(answers(turned=(0.01, 0.015)))) == ()  # too little to be a turn
     assert mistakes(tuple(answers(turned=(1.5, 0.3)))) == ()  # not of one rigid object
 
 
 def test_what_goes_in_on_one_side_tells_where_the_gap_is():
     good = tuple(answers(off=(5.0, 0.0)))
-    fits = tuple(answers(ending=WENT_IN))
-    (named,) = mistakes(tuple(f if probe.x_mm < 0 else probe for probe, f in zip(good, fits, strict=True)))
+    (named,) = mistakes(tuple(f if probe.x_mm < 0 else probe for probe, f in zip(good, all_went_in(), strict=True)))
     assert "off by about +5.3 mm in x" in named
 
 
@@ -80,7 +92,7 @@ def test_a_sure_estimate_outweighs_what_was_not_felt():
     pose = {"y_mm": 0.0, "z_mm": 35.0}
     yaws = [(-9.0, 10.0), (9.0, 10.0), (-8.0, 3.0), (8.0, 3.0)]
     signs = tuple(
-        probe_of("p", WorkPose(x_mm=x, yaw_deg=theta, **pose), felt(x, yaw, (2.0, sigma)), "")
+        probe_of("p", WorkPose(x_mm=x, yaw_deg=theta, **pose), felt(x, yaw, (2.0, sigma)))
         for (x, theta), (yaw, sigma) in zip(SIDES, yaws, strict=True)
     )
     assert mistakes(signs) == ()

@@ -137,6 +137,25 @@ def test_a_mirrored_picture_is_noticed_in_the_newest_pair_unless_others_move_the
         assert (answer.reason, one.command) == ("contradictory", None)
 
 
+@pytest.mark.parametrize(
+    ("followed", "reason", "answered"),
+    [
+        (True, "out_of_distribution", "contradictory"),
+        (False, "out_of_distribution", "out_of_distribution"),
+        (True, "no_motion", "no_motion"),
+    ],
+)
+def test_a_mirrored_picture_is_named_where_its_fields_are_too_strange_to_decide(
+    followed: bool, reason: Any, answered: str
+) -> None:
+    one = decider(consistency=Consistency() if followed else None)
+    attempt = blocked(None, Refusal(reason, "strange"))
+    attempt.ring.extend([pair_at(STOPPED_NS - 40 * MS), mirrored()])
+    answer = one.conclude(attempt, STOPPED_NS + MS)
+    assert isinstance(answer, wire.NoDecision)
+    assert (answer.reason, answer.turns_deg) == (answered, pytest.approx((3.0, 3.0)))
+
+
 def mirrored() -> PairObservation:
     fingers = [replace(one, slip=replace(one.slip, angle_rad=math.radians(3.0))) for one in pair_at(STOPPED_NS).fingers]
     return PairObservation(*fingers)
