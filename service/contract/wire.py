@@ -191,7 +191,7 @@ class Armed(_Message):
 class Watching(_Message):
     """New frames of both fingers show no reason to stop: the client moves while the newest is younger than its lease.
 
-    ``frame_captured_ns``: capture of the newest judged frame, of the older finger; ``judged_ns``: when this was sent.
+    ``frame_captured_ns``: capture of the newest judged frame, of the finger whose frame is older; ``judged_ns``: sent.
     """
 
     type: Literal["watching"] = "watching"

@@ -20,7 +20,7 @@ STEP_MM = 0.15
 STEPS = 11
 """Steps in training; the card states how many of them a decision takes."""
 FEWEST_STEPS, DECISION_STEPS = 4, 8
-"""Steps of a press after which the service decides, unless slip ends it earlier."""
+"""Steps of a press after which the service decides, as its `FEWEST_N`, unless slip ends it earlier."""
 USUAL = (60.0, 60.0, 25.0, 0.8, 10.0, 0.2)
 """A middle value of each condition: the network reads the logarithm of the stated value over it."""
 KNOWN_FEATURES = 2 * len(CONDITIONS)

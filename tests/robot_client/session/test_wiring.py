@@ -77,7 +77,7 @@ def test_one_mirrored_picture_is_named_by_the_turns_that_both_fingers_see(turned
     for cell in (answers((0, 0), turned=turned), answers(reason="out_of_distribution", turned=turned)):
         (named,) = mistakes(tuple(cell))
         assert f"the {finger} picture is mirrored" in named
-    assert mistakes(tuple(answers(turned=(0.01, 0.015)))) == ()  # too little to be a turn
+    assert mistakes(tuple(answers(turned=(0.07, 0.06)))) == ()  # too little to be a turn
     assert mistakes(tuple(answers(turned=(1.5, 0.3)))) == ()  # not of one rigid object
 
 

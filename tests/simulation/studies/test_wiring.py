@@ -4,7 +4,20 @@ import numpy as np
 import pytest
 
 from robot_client.session.commission.wiring import SIDES
-from simulation.studies.wiring import named_mistakes
+from simulation.scene.worlds import load_objects
+from simulation.studies.wiring import by_corner, named_mistakes
+
+
+def test_the_part_with_the_farthest_corner_is_probed_first_and_a_round_one_last(tmp_path):
+    """A narrow part grows more when turned, but its corner is near the fingers' axis."""
+    sizes = {"narrow": ("rectangle", 33.5, 96.7), "wide": ("rectangle", 113.1, 82.7), "round": ("ellipse", 90.9, 85.0)}
+    for name, (shape, x_mm, y_mm) in sizes.items():
+        text = (
+            f'[object]\nshape = "{shape}"\nsize_x_mm = {x_mm}\nsize_y_mm = {y_mm}\nmass_kg = 0.2\ntexture = "smooth"\n'
+        )
+        (tmp_path / f"{name}.toml").write_text(text)
+    order = by_corner(load_objects((str(tmp_path),)))
+    assert [next(part for part in sizes if part in name) for name in order] == ["wide", "narrow", "round"]
 
 
 def probe(x_mm, theta_deg, felt, sigma=1.5):
