@@ -12,14 +12,13 @@ from robot_client.cli.terminal import Outcome, rehearsed, show, stop_on_signals,
 from robot_client.insertion.limits import check_pose
 from robot_client.insertion.state import Plan, State
 from robot_client.ports import DriverError
-from robot_client.session.afresh import upright
+from robot_client.session.afresh import new_id, upright
 from robot_client.session.cycle import Count, Cycle, CycleSettings, Pace
 from robot_client.session.handshake import Handshake
 from robot_client.session.recorder import Recorder
 from robot_client.session.report import Report
 from robot_client.session.runner import Runner
 from robot_client.settings import Settings, SettingsError
-from service.contract.frames import Finger
 
 
 def cycle(settings: Settings, *, live: bool, asked: bool, parts_n: int | None, log: Path | None) -> Outcome:
@@ -35,8 +34,8 @@ def cycle(settings: Settings, *, live: bool, asked: bool, parts_n: int | None, l
     show(warning(live=live, simulated=settings.simulated))
     if not live:
         return _rehearse(settings, taught)
-    gels = with_commissioning(settings, make_plan(settings, 0.0, 0.0, None, None), asked=asked).gels
-    return asyncio.run(_cycle(settings, taught, parts_n, log, gels))
+    plan = with_commissioning(settings, make_plan(settings, 0.0, 0.0, None, None), asked=asked)
+    return asyncio.run(_cycle(settings, taught, parts_n, log, plan))
 
 
 def _rehearse(settings: Settings, taught: CycleSettings) -> Outcome:
@@ -52,12 +51,12 @@ def _rehearse(settings: Settings, taught: CycleSettings) -> Outcome:
 
 
 async def _cycle(
-    settings: Settings, taught: CycleSettings, parts_n: int | None, log: Path | None, gels: dict[Finger, str]
+    settings: Settings, taught: CycleSettings, parts_n: int | None, log: Path | None, first: Plan
 ) -> Outcome:
     fixture = fixture_of(settings)
 
     async def insert(number: int) -> State:
-        plan = make_plan(settings, 0.0, 0.0, None, None).model_copy(update={"gels": gels})
+        plan = first.model_copy(update={"insertion_id": new_id()})
         return await upright(plan, partial(run, number), fixture, lambda text: show(f"  {text}"))
 
     async def run(number: int, plan: Plan) -> State:

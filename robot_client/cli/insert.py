@@ -51,16 +51,16 @@ def make_plan(
 def with_commissioning(settings: Settings, plan: Plan, *, asked: bool) -> Plan:
     """The plan with the gels of the cell's commissioning; raises SettingsError for an uncommissioned cell.
 
-    A simulated cell needs none; ``asked`` is False with --uncommissioned.
+    A simulated cell needs none: its signs are right. ``asked`` is False with --uncommissioned.
     """
     if settings.simulated or not asked:
-        return plan
+        return plan.model_copy(update={"signs_known": settings.simulated})
     if settings.commissioning is None:
         raise SettingsError(
             'the configuration names no record of a commissioning (commissioning = "FILE"): run `commission --live`'
             " first, or type --uncommissioned"
         )
-    return plan.model_copy(update={"gels": commissioned(settings.commissioning).gels})
+    return plan.model_copy(update={"gels": commissioned(settings.commissioning).gels, "signs_known": True})
 
 
 def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from robot_client.insertion.events import Command, Hold, Move, Renew, Send, Source
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.limits import Leg, Motion, check_pose
+from robot_client.insertion.limits import Leg, LimitError, Motion, check_pose, check_straightening
 from robot_client.insertion.state import Phase, State
 from service.contract import wire
 
@@ -93,7 +93,7 @@ def approach(state: State, at_s: float) -> Result:
 
 def arm(state: State, target: WorkPose, at_s: float) -> Result:
     """Stand above the gap at ``target`` (commanded, not measured: no drift accumulates) and request a reference."""
-    plan, attempt = state.plan, state.attempt + 1
+    plan, attempt = state.plan, state.attempt + (not state.arms_again)
     message = wire.Arm(
         insertion_id=plan.insertion_id,
         attempt=attempt,
@@ -105,10 +105,25 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
         shear_reach_mm=plan.shear_reach_mm,
         press_mm=plan.pace.press_mm,
         until_slip=plan.until_slip and plan.purpose == "probe",
+        tilt_deg=target.tilt_deg,
     )
     deadline_s = at_s + plan.timeouts.arming_s
-    state = replace(state, phase=Phase.ARMING, attempt=attempt, armed=target, deadline_s=deadline_s)
+    state = replace(state, phase=Phase.ARMING, attempt=attempt, arms_again=False, armed=target, deadline_s=deadline_s)
     return state, (send(message),)
+
+
+def straighten(state: State, tilt_deg: float, at_s: float) -> Result:
+    """Tilt the tool in the air, once in an attempt, to hold a turned object upright; then arm again."""
+    assert state.armed is not None
+    try:
+        check_straightening(state.plan.limits, tilt_deg)
+    except LimitError as error:
+        return fail(state, "limits", "straighten", str(error))
+    if state.straightened == state.attempt:
+        return fail(state, "service", "protocol", f"asked to tilt the tool again in attempt {state.attempt}")
+    tilted = state.armed.tilted(tilt_deg)
+    state = replace(state, armed=tilted, straightened=state.attempt, arms_again=True)
+    return go(state, Phase.CORRECTING, (tilted,), "travel", at_s)
 
 
 def descend(state: State, captured_ns: int, at_s: float) -> Result:
@@ -175,6 +190,11 @@ def unwatched(state: State, at_s: float) -> Result:
 def hold(state: State, reason: str, at_s: float) -> Result:
     deadline_s = at_s + state.plan.timeouts.stopping_s
     return replace(state, phase=Phase.STOPPING, path=(), deadline_s=deadline_s), (Hold(reason=reason),)
+
+
+def stop(state: State, message: wire.Slip | wire.Enough, at_s: float) -> Result:
+    felt = f"slip on finger {message.finger}" if message.type == "slip" else f"pressed by {message.pressed_mm:.2f} mm"
+    return hold(state, f"{felt}, frame {message.frame_seq}", at_s)
 
 
 def lift(state: State, at_s: float) -> Result:

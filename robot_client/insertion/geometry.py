@@ -52,36 +52,48 @@ class Pose:
 
 
 class WorkPose(Contract):
-    """Pose of the TCP (midway between the fingertips), tool vertical, in the work-object frame."""
+    """Pose of the TCP (midway between the fingertips) in the work-object frame.
+
+    ``tilt_deg``: from the vertical, about the axis from the right finger to the left one (y at yaw 0).
+    """
 
     x_mm: Reach
     y_mm: Reach
     z_mm: Reach
     yaw_deg: Reach
+    tilt_deg: Reach = 0.0
 
     def at_height(self, z_mm: float) -> "WorkPose":
-        """The same x, y and yaw at another height: a move along the vertical."""
-        return WorkPose(x_mm=self.x_mm, y_mm=self.y_mm, z_mm=z_mm, yaw_deg=self.yaw_deg)
+        """The same pose at another height: a move along the vertical."""
+        return self._with(z_mm=z_mm)
 
     def corrected(self, dx_mm: float, dtheta_deg: float) -> "WorkPose":
         """This pose moved by a correction: new error = old error + correction."""
-        return WorkPose(x_mm=self.x_mm + dx_mm, y_mm=self.y_mm, z_mm=self.z_mm, yaw_deg=self.yaw_deg + dtheta_deg)
+        return self._with(x_mm=self.x_mm + dx_mm, yaw_deg=self.yaw_deg + dtheta_deg)
+
+    def tilted(self, tilt_deg: float) -> "WorkPose":
+        """This pose with another tilt."""
+        return self._with(tilt_deg=tilt_deg)
+
+    def _with(self, **changes: float) -> "WorkPose":
+        return WorkPose(**{**dict(self), **changes})  # a copy that is validated
 
     def distance_mm(self, other: "WorkPose") -> float:
         """Length of the straight line to ``other`` in mm."""
         return math.dist((self.x_mm, self.y_mm, self.z_mm), (other.x_mm, other.y_mm, other.z_mm))
 
     def turn_deg(self, other: "WorkPose") -> float:
-        """Absolute yaw to ``other`` in deg."""
-        return abs(other.yaw_deg - self.yaw_deg)
+        """The larger of yaw and tilt to ``other``, absolute, in deg."""
+        return max(abs(other.yaw_deg - self.yaw_deg), abs(other.tilt_deg - self.tilt_deg))
 
     def towards(self, other: "WorkPose", share: float) -> "WorkPose":
-        """The point at ``share`` (0..1) of the straight line to ``other``, yaw in the same share."""
+        """The point at ``share`` (0..1) of the straight line to ``other``, yaw and tilt in the same share."""
         return WorkPose(
             x_mm=self.x_mm + (other.x_mm - self.x_mm) * share,
             y_mm=self.y_mm + (other.y_mm - self.y_mm) * share,
             z_mm=self.z_mm + (other.z_mm - self.z_mm) * share,
             yaw_deg=self.yaw_deg + (other.yaw_deg - self.yaw_deg) * share,
+            tilt_deg=self.tilt_deg + (other.tilt_deg - self.tilt_deg) * share,
         )
 
 
@@ -108,12 +120,13 @@ def rotate(q: Quaternion, vector: Vector) -> Vector:
     return (x, y, z)
 
 
-def yaw_quaternion(yaw_deg: float) -> Quaternion:
-    """Rotation by ``yaw_deg`` about +z; raises ValueError if it is not finite."""
-    if not math.isfinite(yaw_deg):
-        raise ValueError(f"yaw of {yaw_deg} deg, expected a finite number")
-    half = math.radians(yaw_deg) / 2.0
-    return (math.cos(half), 0.0, 0.0, math.sin(half))
+def turn_quaternion(yaw_deg: float, tilt_deg: float = 0.0) -> Quaternion:
+    """Rotation by ``yaw_deg`` about +z and then by ``tilt_deg`` about the new y; raises ValueError if not finite."""
+    if not (math.isfinite(yaw_deg) and math.isfinite(tilt_deg)):
+        raise ValueError(f"yaw of {yaw_deg} deg and tilt of {tilt_deg} deg, expected finite numbers")
+    half, lean = math.radians(yaw_deg) / 2.0, math.radians(tilt_deg) / 2.0
+    yaw, tilt = (math.cos(half), math.sin(half)), (math.cos(lean), math.sin(lean))
+    return (yaw[0] * tilt[0], -yaw[1] * tilt[1], yaw[0] * tilt[1], yaw[1] * tilt[0])
 
 
 def normalised(q: Quaternion) -> Quaternion:
@@ -142,12 +155,12 @@ class CellFrame(Contract):
     def to_controller(self, pose: WorkPose) -> Pose:
         """The controller's pose of the TCP; raises ValueError if it is not finite."""
         x, y, z = rotate(self.rotation, (pose.x_mm, pose.y_mm, pose.z_mm))
-        orientation = multiply(multiply(self.rotation, yaw_quaternion(pose.yaw_deg)), self.tool)
+        orientation = multiply(multiply(self.rotation, turn_quaternion(pose.yaw_deg, pose.tilt_deg)), self.tool)
         ox, oy, oz = self.origin_mm
         return Pose(x + ox, y + oy, z + oz, *normalised(orientation)).check()
 
     def from_controller(self, pose: Pose, near_yaw_deg: float = 0.0) -> tuple[WorkPose, float]:
-        """The TCP in the work-object frame and its tilt from the vertical in deg.
+        """The TCP in the work-object frame, and the tool's angle to the vertical, about whichever axis, in deg.
 
         Yaw is taken within half a turn of ``near_yaw_deg``, so that it never jumps by a whole turn.
         """
@@ -157,5 +170,7 @@ class CellFrame(Contract):
         qw, qx, qy, qz = multiply(multiply(back, normalised(pose.quaternion)), conjugate(self.tool))
         yaw_deg = math.degrees(2.0 * math.atan2(qz, qw))
         yaw_deg += 360.0 * round((near_yaw_deg - yaw_deg) / 360.0)
-        tilt_deg = math.degrees(2.0 * math.atan2(math.hypot(qx, qy), math.hypot(qw, qz)))
-        return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw_deg), tilt_deg
+        leans_deg = math.degrees(2.0 * math.atan2(math.hypot(qx, qy), math.hypot(qw, qz)))
+        tw, _, ty, _ = multiply(conjugate(turn_quaternion(yaw_deg)), (qw, qx, qy, qz))
+        tilt_deg = math.degrees(2.0 * math.atan2(math.copysign(ty, ty * tw), abs(tw)))
+        return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw_deg, tilt_deg=tilt_deg), leans_deg

@@ -21,13 +21,18 @@ class LimitError(ValueError):
 
 
 class Limits(Contract):
-    """Bounds in the work-object frame. The box holds the TCP; ``z_mm`` includes the lowest height ever commanded."""
+    """Bounds in the work-object frame. The box holds the TCP; ``z_mm`` includes the lowest height ever commanded.
+
+    ``max_tilt_deg``: angle of the tool to the vertical. ``max_straighten_deg``: tilt that the service may ask for, to
+    hold an object upright that has turned in the hand; 0: none.
+    """
 
     x_mm: tuple[float, float] = (-40.0, 40.0)
     y_mm: tuple[float, float] = (-20.0, 20.0)
     z_mm: tuple[float, float] = (5.0, 150.0)
     yaw_deg: tuple[float, float] = (-45.0, 45.0)
     max_tilt_deg: Positive = 2.0
+    max_straighten_deg: float = Field(default=1.5, ge=0.0)
     max_speed_mm_s: Positive = 80.0
     max_descent_speed_mm_s: Positive = 15.0
     max_turn_deg_s: Positive = 60.0
@@ -50,6 +55,8 @@ def check_pose(limits: Limits, pose: WorkPose, name: str = "target") -> WorkPose
         low, high = getattr(limits, field_name)
         if not (math.isfinite(value) and low <= value <= high):
             raise LimitError(f"{name} {field_name} = {value:.3f}, allowed {low:g} .. {high:g}")
+    if not abs(pose.tilt_deg) <= limits.max_tilt_deg:
+        raise LimitError(f"{name} tilt_deg = {pose.tilt_deg:.3f}, allowed up to {limits.max_tilt_deg:g} either way")
     return pose
 
 
@@ -64,6 +71,12 @@ def check_correction(limits: Limits, attempt: int, dx_mm: float, dtheta_deg: flo
     for name, value, bound in checks:
         if not (math.isfinite(value) and value <= bound):
             raise LimitError(f"{name} = {value:.3f}, allowed up to {bound:g}")
+
+
+def check_straightening(limits: Limits, tilt_deg: float) -> None:
+    """Raise LimitError unless the service may ask for this tilt."""
+    if not abs(tilt_deg) <= limits.max_straighten_deg:
+        raise LimitError(f"tilt_deg = {tilt_deg:.3f}, allowed up to {limits.max_straighten_deg:g} either way")
 
 
 def _slows_down(new: tuple[float, ...], old: tuple[float, ...]) -> bool:
@@ -83,7 +96,7 @@ class StepGuard:
     limits: Limits
     last: WorkPose
     _speed: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    _turn_deg_s: float = 0.0
+    _turn_deg_s: tuple[float, float] = (0.0, 0.0)  # yaw and tilt
     _elapsed_s: float = 0.004
 
     def check(self, target: WorkPose, elapsed_s: float, motion: Motion) -> WorkPose:
@@ -96,22 +109,23 @@ class StepGuard:
             raise LimitError(f"target after {elapsed_s} s, expected a positive time step")
         step = (target.x_mm - self.last.x_mm, target.y_mm - self.last.y_mm, target.z_mm - self.last.z_mm)
         speed = (step[0] / elapsed_s, step[1] / elapsed_s, step[2] / elapsed_s)
-        turn = (target.yaw_deg - self.last.yaw_deg) / elapsed_s
+        turns = (target.yaw_deg - self.last.yaw_deg, target.tilt_deg - self.last.tilt_deg)
+        turn = (turns[0] / elapsed_s, turns[1] / elapsed_s)
         top = self.limits.max_descent_speed_mm_s if motion == "descend" else self.limits.max_speed_mm_s
         self._bound("speed mm/s", math.hypot(*speed), top)
-        self._bound("turn deg/s", abs(turn), self.limits.max_turn_deg_s)
+        self._bound("turn deg/s", math.hypot(*turn), self.limits.max_turn_deg_s)
         between_s = (elapsed_s + self._elapsed_s) / 2.0  # both speeds are means over their step
-        if not _slows_down((*speed, turn), (*self._speed, self._turn_deg_s)):
+        if not _slows_down((*speed, *turn), (*self._speed, *self._turn_deg_s)):
             change = math.dist(speed, self._speed) / between_s
             self._bound("acceleration mm/s2", change, self.limits.max_acceleration_mm_s2)
-            change = abs(turn - self._turn_deg_s) / between_s
+            change = math.dist(turn, self._turn_deg_s) / between_s
             self._bound("turn acceleration deg/s2", change, self.limits.max_turn_acceleration_deg_s2)
         self.last, self._speed, self._turn_deg_s, self._elapsed_s = target, speed, turn, elapsed_s
         return target
 
     def rest(self) -> None:
         """The target stands still from now on."""
-        self._speed, self._turn_deg_s = (0.0, 0.0, 0.0), 0.0
+        self._speed, self._turn_deg_s = (0.0, 0.0, 0.0), (0.0, 0.0)
 
     def _bound(self, name: str, value: float, bound: float) -> None:
         if not value <= bound * _TOLERANCE:

@@ -24,6 +24,8 @@ from robot_client.insertion.actions import (
     renew,
     retract,
     send,
+    stop,
+    straighten,
     tell_speed,
     unwatched,
 )
@@ -55,7 +57,7 @@ def step(state: State, event: Event) -> Result:
         return state, ()
     match event:
         case Failure():
-            result = _on_failure(state, event)
+            result = fail(state, event.source, event.code, event.detail + _unclaimed(state))
         case Tick():
             result = _on_tick(state, event)
         case FromService():
@@ -71,10 +73,6 @@ def step(state: State, event: Event) -> Result:
         case _:
             result = state, ()
     return result
-
-
-def _on_failure(state: State, event: Failure) -> Result:
-    return fail(state, event.source, event.code, event.detail + _unclaimed(state))
 
 
 def _on_tick(state: State, event: Tick) -> Result:
@@ -113,9 +111,10 @@ def _on_begin(state: State, event: Begin) -> Result:
         controller=plan.controller,
         continues=plan.continues,
         takes_afresh=plan.fixture,
+        most_tilt_deg=plan.most_tilt_deg,
     )
-    began = replace(state, phase=Phase.GREETING, pose=event.pose, held=event.held, no_decisions=plan.no_decisions)
-    return replace(began, deadline_s=event.at_s + plan.timeouts.greeting_s), (send(hello),)
+    state = replace(state, phase=Phase.GREETING, pose=event.pose, held=event.held, no_decisions=plan.no_decisions)
+    return replace(state, deadline_s=event.at_s + plan.timeouts.greeting_s), (send(hello),)
 
 
 def _on_approached(state: State, event: Arrived) -> Result:
@@ -201,7 +200,7 @@ def _on_service(state: State, event: FromService) -> Result:
             result = grasp(state, at_s)
         case wire.Finished():
             result = _on_finished(state, message)
-        case wire.Armed() | wire.Refused() | wire.Watching() | wire.Slip() | wire.Enough():
+        case wire.Armed() | wire.Straighten() | wire.Refused() | wire.Watching() | wire.Slip() | wire.Enough():
             result = _on_attempt_message(state, message, at_s)
         case wire.Correction() | wire.NoDecision():
             result = _on_attempt_message(state, message, at_s)
@@ -217,8 +216,7 @@ def _on_hello(state: State, message: wire.ServiceHello, at_s: float) -> Result:
     if state.phase is not Phase.GREETING:
         return state, ()
     try:
-        for camera in message.cameras:
-            state.plan.check_camera(camera)
+        state.plan.check_cameras(message.cameras)
     except LimitError as error:
         return fail(state, "limits", "camera", str(error))
     state, _ = _on_clock(replace(state, fast=state.plan.bears_fast(message.cameras)), message.clock, at_s)
@@ -255,16 +253,16 @@ def _on_attempt_message(state: State, message: wire.AttemptMessage, at_s: float)
     if message.attempt > state.attempt:
         detail = f"{message.type} of attempt {message.attempt} during attempt {state.attempt}"
         return fail(state, "service", "protocol", detail)
-    if isinstance(message, wire.Slip) and state.phase is Phase.DESCENDING:  # of any attempt: stopping is safe
-        return hold(state, f"slip on finger {message.finger}, frame {message.frame_seq}", at_s)
-    if isinstance(message, wire.Enough) and state.phase is Phase.DESCENDING:
-        return hold(state, f"pressed by {message.pressed_mm:.2f} mm, frame {message.frame_seq}", at_s)
-    result: Result = state, ()
+    if isinstance(message, wire.Slip | wire.Enough) and state.phase is Phase.DESCENDING:  # of any attempt: it is safe
+        return stop(state, message, at_s)
     if message.attempt < state.attempt:
-        return result
+        return state, ()
+    result: Result = state, ()
     match message:
         case wire.Armed() | wire.Watching() if state.phase is Phase.ARMING:
             result = descend(state, message.frame_captured_ns, at_s)
+        case wire.Straighten() if state.phase is Phase.ARMING:
+            result = straighten(state, message.tilt_deg, at_s)
         case wire.Refused() if state.phase is Phase.ARMING:
             result = fail(state, "service", "refused", f"{message.reason}: {message.detail}")
         case wire.Watching() if state.phase is Phase.DESCENDING:

@@ -60,6 +60,8 @@ class Plan(Contract):
 
     ``continues``: the insertion that this one continues, with the object regrasped. ``fixture``: whether there is one
     for regrasping an object that has turned in the hand. ``gels``: gels with which the cell was commissioned.
+    ``signs_known``: whether a commissioning has shown which way each finger sees a turn; only then may the service ask
+    to tilt the tool.
 
     ``pause_s``: time within which a descent whose lease has ended may be resumed; 0 if the arm cannot stop and go on. A
     probe ends above the gap again after its first decision, whatever that is: it follows no correction. ``until_slip``:
@@ -96,6 +98,7 @@ class Plan(Contract):
     timeouts: Timeouts = Timeouts()
     lease: Lease = Lease()
     gels: dict[Finger, str] = Field(default_factory=dict)
+    signs_known: bool = False
     pause_s: float = Field(default=0.0, ge=0.0, le=PAUSE_S)
     pace: Pace = ONE_SPEED
 
@@ -110,6 +113,11 @@ class Plan(Contract):
             self.fast_lease.check(self.pace.fast_mm_s)
 
     @property
+    def most_tilt_deg(self) -> float:
+        """How far the service may ask to tilt the tool."""
+        return self.limits.max_straighten_deg if self.signs_known else 0.0
+
+    @property
     def tops(self) -> Tops:
         """Where the TCP should be when the object touches the blocks' tops."""
         height_mm = self.approach.z_mm - self.clearance_mm
@@ -122,13 +130,14 @@ class Plan(Contract):
             return lasts_s
         return min(lasts_s, self.fast_lease.lasts_s(self.pace.fast_mm_s))
 
-    def check_camera(self, camera: wire.CameraEntry) -> None:
+    def check_cameras(self, cameras: Iterable[wire.CameraEntry]) -> None:
         """Raise LimitError for a camera too slow for the descent, or behind a gel that was not commissioned."""
-        self.lease.check_rate(self.ramps.descend.speed_mm_s, camera)
-        if self.gels and camera.gel != self.gels.get(camera.finger):
-            raise LimitError(
-                f"the {camera.finger} gel is not the one that this cell was commissioned with: commission it again"
-            )
+        for camera in cameras:
+            self.lease.check_rate(self.ramps.descend.speed_mm_s, camera)
+            if self.gels and camera.gel != self.gels.get(camera.finger):
+                raise LimitError(
+                    f"the {camera.finger} gel is not the one that this cell was commissioned with: commission it again"
+                )
 
     def bears_fast(self, cameras: Iterable[wire.CameraEntry]) -> bool:
         """Whether the cameras' rate suffices for the fast legs; else a descent is slow all the way.
@@ -165,7 +174,8 @@ class State:
     ``watched_s``: the earliest possible capture of the newest judged frame, on our clock. ``tops``: positions of the
     blocks' tops by the plan and by the attempts so far. ``fast``: the cameras' rate suffices for the fast legs.
     ``speed_mm_s``: of the descent under way; ``speeds``: time (``at_s``), distance (mm) and value (mm/s) of its
-    changes.
+    changes. ``straightened``: the last attempt before which the tool was tilted; ``arms_again``: it is being tilted,
+    and the attempt keeps its number.
     """
 
     plan: Plan
@@ -189,6 +199,8 @@ class State:
     fast: bool = False
     speeds: tuple[tuple[float, float, float], ...] = ()
     speed_mm_s: float = 0.0
+    arms_again: bool = False
+    straightened: int = 0
 
     @property
     def until_s(self) -> float:
@@ -223,7 +235,7 @@ class State:
                 "insertion_id": insertion_id,
                 "continues": plan.insertion_id,
                 "no_decisions": self.no_decisions,
-                "approach": self.armed.at_height(plan.approach.z_mm),
+                "approach": self.armed.at_height(plan.approach.z_mm).tilted(0.0),
                 "limits": plan.limits.model_copy(update={"max_attempts": left_n}),
                 "ramps": plan.ramps.model_copy(update={"descend": descend}),
                 "lease": plan.lease.at_most(slower_mm_s),

@@ -63,7 +63,7 @@ class Telemetry:
 
 
 def pose(of: WorkPose) -> wire.ToolPose:
-    return wire.ToolPose(x_mm=of.x_mm, y_mm=of.y_mm, z_mm=of.z_mm, yaw_deg=of.yaw_deg)
+    return wire.ToolPose(**of.model_dump())
 
 
 def _version() -> str:

@@ -8,7 +8,7 @@ is the client's, which the service sends back beside its own clock (:class:`Cloc
 client:  hello -> episode? -> learn_open? -> (arm -> descending -> stopped)*
          abort, heartbeat and telemetry at any time
 service: hello -> open_learnt? -> (armed -> watching* -> (slip | enough)? -> correction | no_decision)* -> finished
-         refused instead of armed; fault and heartbeat at any time
+         straighten or refused instead of armed; fault and heartbeat at any time
 """
 
 from typing import Annotated, Literal, TypeVar
@@ -19,6 +19,7 @@ from service.contract.frames import ContractError, Finger, first_error
 from service.contract.wire_parts import (
     MAX_ATTEMPTS,
     PRESS_MM,
+    Armed,
     Attempt,
     CameraEntry,
     Cause,
@@ -39,6 +40,7 @@ from service.contract.wire_parts import (
     RefusalReason,
     Refused,
     RobotSample,
+    Straighten,
     Telemetry,
     ToolPose,
 )
@@ -47,6 +49,7 @@ from service.contract.wire_parts import InsertionMessage as _Message
 __all__ = [
     "MAX_ATTEMPTS",
     "PRESS_MM",
+    "Armed",
     "Attempt",
     "CameraEntry",
     "Cause",
@@ -67,6 +70,7 @@ __all__ = [
     "RefusalReason",
     "Refused",
     "RobotSample",
+    "Straighten",
     "Telemetry",
     "ToolPose",
 ]  # the parts; what is defined here goes without saying
@@ -78,6 +82,7 @@ class ClientHello(_Message):
     """First message. A client of ``role`` watch receives everything and may send only heartbeats.
 
     ``continues``: the insertion whose object was regrasped, see `Refused`. ``takes_afresh``: the client can regrasp.
+    ``most_tilt_deg``: how far it may be asked to `Straighten`; 0 if never, as in a cell whose signs nobody has checked.
     """
 
     type: Literal["hello"] = "hello"
@@ -88,6 +93,7 @@ class ClientHello(_Message):
     controller: ControllerName | None = None
     continues: InsertionId | None = None
     takes_afresh: bool = False
+    most_tilt_deg: float = Field(default=0.0, ge=0, le=10)
 
 
 class LearnOpen(_Message):
@@ -103,6 +109,7 @@ class Arm(_Message):
     of the edge's friction; None if unknown. ``gripper_width_mm`` is the distance between the fingers; None if the
     gripper does not report it. ``grip_n`` is their force, ``shear_reach_mm`` how far the gel shears before it slides.
     ``press_mm`` is how far to press after the touch. ``until_slip``: press on until the gel slides, to measure it.
+    ``tilt_deg`` is the tool's tilt now, see `Straighten`.
     """
 
     type: Literal["arm"] = "arm"
@@ -115,6 +122,7 @@ class Arm(_Message):
     gripper_width_mm: float | None = Field(default=None, ge=0, le=1000)
     press_mm: float = Field(default=PRESS_MM, ge=0.6, le=3.0)
     until_slip: bool = False
+    tilt_deg: float = Field(default=0.0, ge=-10, le=10)
 
 
 class Descending(_Message):
@@ -177,15 +185,6 @@ class OpenLearnt(_Message):
     """The appearance of both open gels is learnt; the fingers may close."""
 
     type: Literal["open_learnt"] = "open_learnt"
-
-
-class Armed(_Message):
-    """The reference is this frame, and the descent may begin. Its ``frame_captured_ns`` starts the lease."""
-
-    type: Literal["armed"] = "armed"
-    attempt: Attempt
-    reference_seq: int
-    frame_captured_ns: int
 
 
 class Watching(_Message):
@@ -272,7 +271,7 @@ class ServiceHeartbeat(_Message):
     frame_age_ms: float | None
 
 
-AttemptMessage = Armed | Refused | Watching | Slip | Enough | Correction | NoDecision
+AttemptMessage = Armed | Straighten | Refused | Watching | Slip | Enough | Correction | NoDecision
 _Service = ServiceHello | OpenLearnt | AttemptMessage | Finished | Fault | ServiceHeartbeat
 ServiceMessage = Annotated[_Service, Field(discriminator="type")]
 

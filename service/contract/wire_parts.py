@@ -1,4 +1,4 @@
-"""The parts of the messages in :mod:`service.contract.wire`, and the messages that are only recorded."""
+"""The parts of the messages in :mod:`service.contract.wire`, the answers to `arm`, and what is only recorded."""
 
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -150,12 +150,13 @@ class Doubt(Contract):
 
 
 class ToolPose(Contract):
-    """Pose of the TCP, tool vertical, in the work-object frame."""
+    """Pose of the TCP in the work-object frame; ``tilt_deg``: of the tool, as in `Straighten`."""
 
     x_mm: float
     y_mm: float
     z_mm: float
     yaw_deg: float
+    tilt_deg: float = 0.0
 
 
 class RobotSample(Contract):
@@ -209,6 +210,27 @@ class Enough(InsertionMessage):
     attempt: Attempt
     frame_seq: int
     pressed_mm: float
+
+
+class Armed(InsertionMessage):
+    """The reference is this frame, and the descent may begin. Its ``frame_captured_ns`` starts the lease."""
+
+    type: Literal["armed"] = "armed"
+    attempt: Attempt
+    reference_seq: int
+    frame_captured_ns: int
+
+
+class Straighten(InsertionMessage):
+    """Instead of armed: the object has turned in the hand. Tilt the tool to ``tilt_deg``, then arm this attempt again.
+
+    ``tilt_deg``: from the vertical, about the axis from the right finger to the left one (y at yaw 0).
+    """
+
+    type: Literal["straighten"] = "straighten"
+    attempt: Attempt
+    tilt_deg: float
+    detail: str
 
 
 class Refused(InsertionMessage):

@@ -27,6 +27,7 @@ class Stage(Enum):
     """Progress of an attempt."""
 
     ARMING = auto()  # waiting for the first pair captured after `arm`
+    STRAIGHTENING = auto()  # the tool is tilted; `arm` of the same attempt follows
     ARMED = auto()  # reference taken, watching for motion and slip
     STOPPED = auto()  # the arm stands still; the decision may still lack frames
     DECIDED = auto()  # correction or no_decision was sent
@@ -41,14 +42,6 @@ class WorkResult:
     evidence: Evidence | None
     refusal: Refusal | None
     latency_ms: dict[str, float]
-
-
-def unlike_grids(both: PairObservation) -> str:
-    """The fault if the fingers' gels carry different grids, or "": no network was trained on such a pair."""
-    (rows, columns), (right_rows, right_columns) = (finger.field.valid.shape for finger in both.fingers)
-    if (rows, columns) == (right_rows, right_columns):
-        return ""
-    return f"the fingers show different grids: left {columns} x {rows} markers, right {right_columns} x {right_rows}"
 
 
 def nothing_held(both: PairObservation) -> str:
@@ -72,7 +65,7 @@ class Attempt:
     """State of one attempt; ``generation`` separates a re-armed attempt's late results from its current ones.
 
     ``fed``: the networks have received their last input. ``stop_ns``: capture of the frame that stopped the arm.
-    ``turn``: the turn of the object left by earlier attempts.
+    ``turn``: the turn of the object left by earlier attempts, and the tilt of the tool against it.
     """
 
     arm: Arm
@@ -130,14 +123,15 @@ class Attempt:
             others = [one for one in self.problem.split("; ") if one and not one.startswith(observation.finger)]
             self.problem = "; ".join([*others, why])
 
-    def take_reference(self, both: PairObservation) -> Armed | Refused | None:
+    def take_reference(self, both: PairObservation) -> Armed | wire.Straighten | Refused | None:
         """Arm with this pair if both fingers are rearmed and readable; else store the problem and return None.
 
-        Returns Refused if the gels or the gripper show that nothing is held.
+        Returns Refused if the gels or the gripper show that nothing is held, or that it hangs askew; Straighten where a
+        tilt of the tool mends that.
         """
         if self.rearmed != {"left", "right"}:
             return None
-        self.problem = unlike_grids(both)
+        self.problem = both.unlike_grids()
         if self.problem:
             self.rearmed.clear()
             return None
@@ -145,13 +139,23 @@ class Attempt:
             return self.refusal("nothing_held", why)
         if why := implausible_width(self.arm):
             return self.refusal("implausible_width", why)
-        if why := self.turn.lifted(both):
-            return self.refusal("turned_in_hand", why)
+        if answer := self._upright(both):
+            return answer
         self.reference, self.stage = both, Stage.ARMED
         self.ring.append(both)
         self.watched_ns = min(o.captured_ns for o in both.fingers)
         self.armed = Armed(**self._named, reference_seq=both.seq, frame_captured_ns=self.watched_ns)
         return self.armed
+
+    def _upright(self, both: PairObservation) -> wire.Straighten | Refused | None:
+        """What has to come before the descent of an object that the attempts so far have turned, None if nothing."""
+        self.turn.lifted(both)
+        if (tilt_deg := self.turn.straightening()) is not None:
+            self.stage = Stage.STRAIGHTENING
+            detail = f"the attempts have turned it by about {abs(self.turn.deg):.1f} deg"
+            return wire.Straighten(**self._named, tilt_deg=tilt_deg, detail=detail)
+        why = self.turn.askew(both)
+        return self.refusal("turned_in_hand", why) if why else None
 
     @property
     def _named(self) -> dict[str, Any]:

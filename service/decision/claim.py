@@ -188,7 +188,7 @@ def _pushed(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
 
 
 def _moved_in_hand(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
-    if attempt.ring and (why := turned_going_in(attempt.ring[-1], attempt.reference, grasp.turn.deg)):
+    if attempt.ring and (why := turned_going_in(attempt.ring[-1], attempt.reference, grasp.turn.left_deg)):
         yield _doubt("moved_in_hand", why)
     if not grasp.pressed_mm <= PRESSED_MM:
         detail = f"an attempt went on for {grasp.pressed_mm:.1f} mm after its contact: the object was moved in the hand"

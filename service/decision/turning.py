@@ -1,9 +1,9 @@
-"""Turn of a hanging object in the hand, and the part of it that a blocked attempt leaves behind.
+"""Turn of a hanging object in the hand, the part of it that a blocked attempt leaves behind, and how to undo it.
 
 While an attempt presses, the markers in the middle of the contact turn with the object; those near the rim have lost
 it. When the arm goes up, the gels stick and turn the object back by as much as they carry. The rest of the turn was a
 slide: it stays, and no marker shows it any more. A turn by the object's own weight shows against the open gels as long
-as it hangs.
+as it hangs. A tool that can tilt holds the object upright again.
 """
 
 import math
@@ -21,6 +21,8 @@ GIVEN_BACK = 1.08  # the gels turn the object back by this times the markers' mo
 BEYOND_SHOWN = 1.3  # this times the rest stays: markers follow an object only partly
 GOING_IN_DEG = 0.5  # at full depth, since the descent began. Free-standing objects show 0.15 deg at most
 STANDS_DEG = 0.7  # at full depth, including the turn left by earlier attempts
+TAKEN_BACK = 0.7  # share of the expected turn by which the tool is tilted: the likeliest turn, see decision 191
+LEAST_TILT_DEG = 0.15  # a smaller change of the tilt is not worth a move: the expectation errs by as much
 FEWEST_N = 4  # markers that determine a turn
 
 
@@ -63,11 +65,19 @@ class LastingTurn:
     """The turn left by the blocked attempts with one grasp.
 
     ``deg``: the expected sum, signed as in the left finger's picture, known once the object hangs free again; NaN where
-    the gels do not show it.
+    the gels do not show it. ``tilt_deg``: of the tool about the fingers' axis, which holds the object by that much
+    straighter; ``most_tilt_deg``: how far it may be tilted.
     """
 
     deg: float = 0.0
+    tilt_deg: float = 0.0
+    most_tilt_deg: float = 0.0
     _pressed: PairObservation | None = None
+
+    def held_at(self, tilt_deg: float, most_tilt_deg: float) -> "LastingTurn":
+        """This turn, with the tool tilted so far."""
+        self.tilt_deg, self.most_tilt_deg = tilt_deg, most_tilt_deg
+        return self
 
     def pressed(self, both: PairObservation | None) -> None:
         """An attempt was blocked, ``both`` its last pair; None if it does not show the object's turn."""
@@ -75,18 +85,30 @@ class LastingTurn:
         if both is None:
             self.deg = math.nan
 
-    def lifted(self, both: PairObservation) -> str:
-        """Account for the object hanging free again; returns why it needs a regrasp before the next attempt, or "".
+    @property
+    def left_deg(self) -> float:
+        """The part of the turn that the tilt of the tool does not make up for."""
+        return self.deg + self.tilt_deg / TAKEN_BACK
 
-        Only the first pair after a blocked attempt counts.
-        """
+    def lifted(self, both: PairObservation) -> None:
+        """Account for the object hanging free again; only the first pair after a blocked attempt counts."""
         if self._pressed is not None:
             self.deg += lasting_turn_deg(self._pressed, both)
             self._pressed = None
-        return self._too_far() or hangs_turned(both, self.deg)
+
+    def straightening(self) -> float | None:
+        """The tilt of the tool that holds the object upright, deg; None if it does so already, or is not known."""
+        wanted_deg = -TAKEN_BACK * self.deg
+        if not abs(wanted_deg) <= self.most_tilt_deg or abs(wanted_deg - self.tilt_deg) < LEAST_TILT_DEG:
+            return None
+        return wanted_deg
+
+    def askew(self, both: PairObservation) -> str:
+        """Why the object, hanging free, needs a regrasp before the next attempt, or ""."""
+        return self._too_far() or hangs_turned(both, self.left_deg)
 
     def _too_far(self) -> str:
-        if abs(self.deg) <= TURNED_DEG:
+        if abs(self.left_deg) <= TURNED_DEG:
             return ""
         if math.isnan(self.deg):
             return "the gels do not show whether the last attempt has turned the object in the hand"

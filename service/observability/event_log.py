@@ -15,6 +15,7 @@ LOGGED = {
     "no_decision": ("attempt", "reason", "detail"),
     "armed": ("attempt",),
     "refused": ("attempt", "reason", "detail"),
+    "straighten": ("attempt", "tilt_deg", "detail"),
     "finished": ("outcome", "attempts", "cause"),
     "fault": ("code", "detail", "fatal"),
 }

@@ -101,6 +101,14 @@ class PairObservation:
         """Capture time of the later of the two frames."""
         return max(self.left.captured_ns, self.right.captured_ns)
 
+    def unlike_grids(self) -> str:
+        """The fault if the fingers' gels carry different grids, or "": no network was trained on such a pair."""
+        (rows, columns), (right_rows, right_columns) = (finger.field.valid.shape for finger in self.fingers)
+        if (rows, columns) == (right_rows, right_columns):
+            return ""
+        left, right = f"left {columns} x {rows} markers", f"right {right_columns} x {right_rows}"
+        return f"the fingers show different grids: {left}, {right}"
+
     def pixels(self) -> NDArray[np.uint8]:
         """Rectified uint8 [2, H, W, 3], left first, as input of the networks."""
         return np.stack([self.left.image, self.right.image])

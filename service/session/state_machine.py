@@ -32,11 +32,11 @@ def ignore(_: Any) -> None:
 
 @dataclass(slots=True)
 class InsertionSession:
-    """State machine of one insertion; :mod:`service.contract.wire` has the order of messages.
+    """State machine of one insertion; :mod:`service.contract.wire` has the order of messages. Not thread safe.
 
     ``submit`` hands network work to another thread, whose result comes back through :meth:`on_result`; without it the
     work runs at once. ``on_observation`` receives each observation, ``on_attempt`` each attempt when it is decided or
-    ends, both for recording and display. Not thread safe.
+    ends, both for recording and display.
     """
 
     models: ModelSet
@@ -52,6 +52,7 @@ class InsertionSession:
     on_command: Callable[[Command], None] = ignore
     insertion_id: str | None = None
     takes_afresh: bool = False
+    most_tilt_deg: float = 0.0
     attempt: Attempt | None = None
     finished: wire.Finished | None = None
     recording: str | None = None
@@ -101,7 +102,8 @@ class InsertionSession:
         if refused := unspoken(message):
             return [refused]
         if self.insertion_id is None:
-            self.insertion_id, self.takes_afresh = message.insertion_id, message.takes_afresh
+            self.insertion_id, self.most_tilt_deg = message.insertion_id, message.most_tilt_deg
+            self.takes_afresh = message.takes_afresh
             self.controller_name = message.controller or self.controller_name
         return [
             wire.ServiceHello(
@@ -117,20 +119,21 @@ class InsertionSession:
     def _arm(self, message: wire.Arm, now_ns: int) -> Replies:
         last = self.attempt.arm.attempt if self.attempt else 0
         decided = self.attempt is None or self.attempt.stage is Stage.DECIDED
-        if self.attempt and message.attempt == last and not decided:
-            if self.attempt.armed and self.attempt.stage is Stage.ARMED and not self.attempt.spoilt:
-                return [self.attempt.armed]
+        if (attempt := self.attempt) and message.attempt == last and not decided:
+            if attempt.armed and attempt.stage is Stage.ARMED and not attempt.spoilt:
+                return [attempt.armed]
         elif message.attempt != last + 1 or not decided:
             state = "decided" if decided else "not decided yet"
             return [self._fault("protocol", f"arm of attempt {message.attempt}, but attempt {last} is {state}")]
         if self.decider is None:
             known = message.grasp_height_mm, self.models.card.expectations, message.gripper_width_mm
-            controller = make_controller(self.controller_name, self.limits, *known)
-            self.decider = Decider(message.insertion_id, self.models, controller, self.deadlines)
+            decides = make_controller(self.controller_name, self.limits, *known)
+            self.decider = Decider(message.insertion_id, self.models, decides, self.deadlines)
         if message.attempt == 1:
             self.decider.grasp.width_mm = message.gripper_width_mm
         self._generation += 1
-        self.attempt = Attempt(message, now_ns, self._generation, self.decider.grasp.turn)
+        turn = self.decider.grasp.turn.held_at(message.tilt_deg, self.most_tilt_deg)
+        self.attempt = Attempt(message, now_ns, self._generation, turn)
         return [*self.decider.before_descending(self.attempt)]
 
     def _descending(self, message: wire.Descending, now_ns: int) -> Replies:
@@ -161,7 +164,7 @@ class InsertionSession:
     @property
     def wants_frames(self) -> bool:
         """Whether an attempt is under way; frames between attempts, while the arm moves freely, are not used."""
-        under_way = self.attempt is not None and self.attempt.stage is not Stage.DECIDED
+        under_way = self.attempt is not None and self.attempt.stage not in {Stage.STRAIGHTENING, Stage.DECIDED}
         return (under_way or self._open.waiting) and self.finished is None
 
     @property
@@ -250,9 +253,7 @@ class InsertionSession:
             return []
         if attempt.stage is Stage.ARMING and now_ns - attempt.armed_ns > self.deadlines.reference_s * 1e9:
             return [attempt.refusal("no_reference", attempt.problem or "no frame pair arrived")]
-        if attempt.stage is Stage.STOPPED:
-            return self._conclude(now_ns)
-        return self._check_age(attempt, now_ns)
+        return self._conclude(now_ns) if attempt.stage is Stage.STOPPED else self._check_age(attempt, now_ns)
 
     def _check_age(self, attempt: Attempt, now_ns: int) -> Replies:
         why = self._fingers.stale(now_ns, self.limits.max_frame_age_ms)
@@ -295,6 +296,5 @@ class InsertionSession:
         )
         return [self.finished]
 
-    def _fault(self, code: wire.FaultCode, detail: str, insertion_id: str | None = None) -> wire.Fault:
-        named = insertion_id or self.insertion_id or "none"
-        return wire.Fault(insertion_id=named, code=code, detail=detail, fatal=False)
+    def _fault(self, code: wire.FaultCode, detail: str, named: str | None = None) -> wire.Fault:
+        return wire.Fault(insertion_id=named or self.insertion_id or "none", code=code, detail=detail, fatal=False)

@@ -50,6 +50,7 @@ EXAMPLES: tuple[BaseModel, ...] = (
     wire.ServiceHello(**_INSERTION, models=(), cameras=(_CAMERA,), controller="belief", limits=_LIMITS, clock=_CLOCK),
     wire.OpenLearnt(**_INSERTION),
     wire.Armed(**_ATTEMPT, reference_seq=120, frame_captured_ns=4_300_000_000),
+    wire.Straighten(**_ATTEMPT, tilt_deg=-0.6, detail="the attempts have turned it by about 0.9 deg"),
     wire.Refused(**_ATTEMPT, reason="no_reference", detail="left: 12 markers found, expected 420"),
     wire.Watching(**_ATTEMPT, frame_captured_ns=4_366_000_000, judged_ns=4_381_000_000),
     wire.Slip(**_ATTEMPT, **_SLIP, reason="slip: 9 markers off the rigid motion"),

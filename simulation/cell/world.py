@@ -22,12 +22,14 @@ from simulation.scene.state import CellState
 
 Gel = NDArray[np.floating[Any]]
 LEAST_PACE_MM_S = 1e-3
+LEAST_TILT_DEG = 0.005  # the arm's own inaccuracy
 
 
 class Mechanics(Protocol):
     """The simulated cell as the world uses it (``QuasiStaticCell``)."""
 
     pace_mm_s: float
+    tilt_rad: float
 
     @property
     def relaxes(self) -> bool:
@@ -38,6 +40,9 @@ class Mechanics(Protocol):
 
     def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
         """Advance the TCP and return the new state."""
+
+    def tilt_to(self, tilt_deg: float) -> CellState:
+        """Tilt the hand about its own y, while the object touches nothing, and return the new state."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +178,7 @@ class World:
         if not self.held:
             self._gel = np.zeros_like(self._gel)
             return
+        self._tilt(pose.lean_deg)
         x_mm, y_mm, z_mm = pose.position_mm
         where = (x_mm + self._offset[0], y_mm + self._offset[1], z_mm, pose.yaw_deg + self._offset[2])
         try:
@@ -183,6 +189,12 @@ class World:
         if state is not None:
             self.state, self._gel = state, np.array(state.gel, np.float32)
             self.held = not state.grasp_lost
+
+    def _tilt(self, tilt_deg: float) -> None:
+        """Tilt the hand with the arm; in contact it keeps its tilt, since the client straightens in the air only."""
+        change_deg = tilt_deg - math.degrees(self._mechanics.tilt_rad)
+        if abs(change_deg) > LEAST_TILT_DEG and not (self.state and self.state.in_contact):
+            self.state = self._mechanics.tilt_to(tilt_deg)
 
     def _moved(self, where: tuple[float, float, float, float], passed_s: float) -> CellState | None:
         """The state after the hand has moved there, or stood there, for a time; None if nothing changes."""

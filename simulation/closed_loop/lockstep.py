@@ -29,7 +29,7 @@ MAX_UNSOLVED = 6  # consecutive moves without an equilibrium before the cell is 
 Image = NDArray[np.uint8]
 Walk = Callable[[float], float]
 """Travel of a descent in mm after a time in s."""
-_ROUNDING_MM = 1e-6
+_ROUNDING_MM, _ROUNDING_DEG = 1e-6, 1e-9
 
 
 class GraspEndError(Exception):
@@ -110,11 +110,16 @@ class LockstepCell:
         """TCP x, y, z in mm and yaw in deg, as the arm reports it."""
         return self.misplaced.reported(_pose_of(self.physics))
 
-    def travel(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float, duration_s: float) -> None:
-        """Move there in a straight line; no frame is taken on the way.
+    @property
+    def tilt_deg(self) -> float:
+        return math.degrees(self.physics.tilt_rad)
 
-        Raises PhysicsError if the cell finds no equilibrium on the way.
-        """
+    def travel(
+        self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float, duration_s: float, *, tilt_deg: float = 0.0
+    ) -> None:
+        """Tilt the tool, then move there in a straight line; no frame is taken on the way. Raises PhysicsError."""
+        if abs(tilt_deg - self.tilt_deg) > _ROUNDING_DEG:
+            self.physics.tilt_to(tilt_deg)
         target = self.misplaced.true((x_mm, y_mm, z_mm, yaw_deg))
         way = np.subtract(target, _pose_of(self.physics)) * (1.0, 1.0, 1.0, math.radians(1.0))
         self.physics.pace_mm_s = max(time_at(way, 1.0) / max(duration_s, 1e-3), 1e-3)
@@ -241,8 +246,7 @@ class LockstepCell:
 
     def picture_later(self, index: int) -> Callable[[], Image]:
         """A finger's raw frame of this moment, drawn on request with the same bits as now."""
-        (gel, before), seed = self.gels(index), hash_seed(self.seed, self.frame, index)
-        camera = self.view(index)
+        (gel, before), seed, camera = self.gels(index), hash_seed(self.seed, self.frame, index), self.view(index)
         return lambda: self._delivered(index, camera.raw(gel, seed, before))
 
     def open_picture(self, index: int) -> Image:
@@ -284,8 +288,8 @@ class LockstepCell:
 
 
 def _pose_of(physics: Cell) -> Pose:
-    x, y, z, yaw = physics.pose
-    return float(x), float(y), float(z), math.degrees(float(yaw))
+    x, y, z, yaw = map(float, physics.pose)
+    return x, y, z, math.degrees(yaw)
 
 
 _NOTHING: Image = np.zeros((0, 0, 3), np.uint8)

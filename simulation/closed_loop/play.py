@@ -251,12 +251,13 @@ class Insertion:
                 target = command.target
                 duration_s = self.state.plan.ramps.duration_s(self._pose(), target, command.motion)
                 duration_s += SETTLE_S if self.client else 0.0
-                self.cell.travel(target.x_mm, target.y_mm, target.z_mm, target.yaw_deg, duration_s)
+                to = target.x_mm, target.y_mm, target.z_mm, target.yaw_deg
+                self.cell.travel(*to, duration_s, tilt_deg=target.tilt_deg)
                 self._events.append(Arrived(at_s=self.cell.now_s, pose=self._pose()))
 
     def _pose(self) -> WorkPose:
         x, y, z, yaw = self.cell.pose
-        return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw)
+        return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw, tilt_deg=self.cell.tilt_deg)
 
 
 def stage(job: Job, models: ModelSet) -> Insertion:

@@ -219,9 +219,9 @@ class Bodies:
 
     def _weights(self, grip: Grip) -> Array:
         out = np.zeros(self.count)
-        out[2], out[OPENING] = -self.weight_n, -self.grip_n
-        x, y, _ = grip.place + grip.turn @ self._centre
-        out[3], out[4] = -y * self.weight_n, x * self.weight_n
+        down = -self.weight_n * self.hand.turn[2]  # in the hand, which may be tilted
+        out[:3], out[3:6] = down, np.cross(grip.place + grip.turn @ self._centre, down)
+        out[OPENING] = -self.grip_n
         for b in range(2) if self.free else ():
             at = FIRST_BLOCK + 6 * b
             x, y, _ = self.block_turn[b] @ (np.array([0.5, 0.0, -0.5]) * self._size)
@@ -285,6 +285,6 @@ def _of_block_motion(b: int) -> slice:
     return slice(FIRST_BLOCK + 6 * b, FIRST_BLOCK + 6 + 6 * b)
 
 
-def hand_at(pose: Array) -> Hand:
-    """The hand at a TCP pose (x, y, z mm, yaw rad)."""
-    return Hand(pose[:3].copy(), about_z(float(pose[3])))
+def hand_at(pose: Array, tilt_rad: float = 0.0) -> Hand:
+    """The hand at a TCP pose (x, y, z mm, yaw rad), tilted about its own y."""
+    return Hand(pose[:3].copy(), about_z(float(pose[3])) @ rotation(np.array([0.0, tilt_rad, 0.0])))

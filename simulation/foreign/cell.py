@@ -72,7 +72,7 @@ class ForeignCell:
         self.pads = pads_of(scene, face, active)
         self.held, self.readout = HeldSurface(scene.object), Readout(face, scene.sensor)
         self.bodies = Bodies(scene, active)
-        self.pose = np.zeros(4)
+        self.pose, self.tilt_rad = np.zeros(4), 0.0
         self.residual_n, self.iterations = 0.0, 0
         self.grasp_lost = False
         self.pace_mm_s = scene.speed_mm_s
@@ -91,17 +91,17 @@ class ForeignCell:
         spread = self.scene.grasp
         tilt = np.radians(self.rng.normal(0.0, 1.0, 2) * (spread.pre_tilt_spread_deg, spread.pre_yaw_spread_deg))
         self.grasp_lost, self._failed_n = False, 0
-        self.pose = np.array([0.0, 0.0, spread.height_mm + CLEAR_MM, 0.0])
+        self.pose, self.tilt_rad = np.array([0.0, 0.0, spread.height_mm + CLEAR_MM, 0.0]), 0.0
         self.bodies.forget()
         self._pace = None
         self._close(rotation(np.array([0.0, tilt[0], tilt[1]])))
         self._advance(self.pose)
         _, theta = self._object_error()
         self.pose[3] += math.radians(theta_deg - theta)
-        self.bodies.hand = hand_at(self.pose)
+        self.bodies.hand = self._hand(self.pose)
         self.pose[0] += x_mm - self._object_error()[0]
         self.pose[2] = APPROACH_MM + spread.height_mm
-        self.bodies.hand = hand_at(self.pose)
+        self.bodies.hand = self._hand(self.pose)
         return self.look()
 
     def _close(self, turn: Array) -> None:
@@ -162,7 +162,7 @@ class ForeignCell:
             if not self.bodies.touching and (free := self._free_share(target)) > 0.0:
                 way = target - self.pose
                 self.pose = target if free >= 1.0 else self.pose + free * way
-                self.bodies.hand = hand_at(self.pose)
+                self.bodies.hand = self._hand(self.pose)
                 self._slid[:] = False
                 if self.relaxes:
                     self._advance(self.pose, _length_mm(free * way) / self.pace_mm_s)
@@ -171,8 +171,19 @@ class ForeignCell:
             steps = max(1, math.ceil(_length_mm(rest) / self.scene.numerics.load_step_mm - 1e-9))
             self._advance(target if steps == 1 else self.pose + rest / steps)
         self.pose = target
-        self.bodies.hand = hand_at(self.pose)
+        self.bodies.hand = self._hand(self.pose)
         return self.look()
+
+    def tilt_to(self, tilt_deg: float) -> CellState:
+        """Tilt the hand about its own y, the object with it; only clear of the blocks, else ValueError."""
+        if not math.isfinite(tilt_deg) or self.bodies.touching:
+            raise ValueError(f"tilt_to: expected a finite angle and an object that touches nothing, got {tilt_deg}")
+        self.tilt_rad = math.radians(tilt_deg)
+        self.bodies.hand = self._hand(self.pose)
+        return self.look()
+
+    def _hand(self, pose: Array) -> Hand:
+        return hand_at(pose, self.tilt_rad)
 
     @property
     def relaxes(self) -> bool:
@@ -190,7 +201,7 @@ class ForeignCell:
 
     def _free_share(self, target: Array) -> float:
         """Share of a straight move in which the object just rides along, clear of the blocks."""
-        now, then = self._lowest(hand_at(self.pose)), self._lowest(hand_at(target))
+        now, then = self._lowest(self._hand(self.pose)), self._lowest(self._hand(target))
         if now > 1e-3 and then > 1e-3:
             return 1.0
         upright = np.array_equal(self.pose[[0, 1, 3]], target[[0, 1, 3]])
@@ -208,10 +219,10 @@ class ForeignCell:
         """
         if self._drops():
             self.grasp_lost, self.pose = True, target.copy()
-            self.bodies.hand = hand_at(target)
+            self.bodies.hand = self._hand(target)
             return
         beside, start = self.bodies.beside.copy(), self.grip.on.copy()
-        before, after = hand_at(self.pose), hand_at(target)
+        before, after = self._hand(self.pose), self._hand(target)
         lasts_s = _length_mm(target - self.pose) / self.pace_mm_s if time_s is None else time_s
         creep, crept = self.pads.creep, None
         if creep:

@@ -15,10 +15,10 @@ from simulation.physics.constants import BASE_K, scene_constants
 from simulation.physics.grasp import close_fingers
 from simulation.physics.inertia import INSTANT_S, coasting_of, duration_s
 from simulation.physics.kernels import contact, load_step, records
-from simulation.physics.kernels.linear import rotation_into
+from simulation.physics.kernels.linear import hand_into, rotation_into
 from simulation.physics.pads import nodes_of, pad_of
 from simulation.physics.readout import Readout
-from simulation.physics.state import block_motion, rotation_vector
+from simulation.physics.state import block_motion, rest_blocks, rotation_vector
 from simulation.scene.effects import Active, active_effects
 from simulation.scene.ground_truth import Pose, reasons_against
 from simulation.scene.scene import APPROACH_MM, Scene
@@ -32,10 +32,7 @@ EASED = 0.5, 0.02  # shares of a round by which friction limits follow where no 
 
 
 class QuasiStaticCell:
-    """A scene with its state.
-
-    `regrasp` puts the object back into the hand, `move_to` moves the hand quasi-statically.
-    """
+    """A scene with its state: `regrasp` puts the object back into the hand, `move_to` moves it quasi-statically."""
 
     def __init__(self, scene: Scene, seed: int = 0) -> None:
         self.scene = scene
@@ -51,25 +48,19 @@ class QuasiStaticCell:
         self.coasting = coasting_of(scene) if self.active.inertia else None
         vertices = len(self.foot)
         self.base_slot = records.slot_count(vertices)
-        self.slots = np.zeros(self.base_slot + 8, dtype=records.SLOT)
-        self.rows = np.zeros(records.row_count(vertices), dtype=records.ROW)
-        self.trials = np.zeros(3, dtype=records.TRIAL)
-        self.record = np.zeros(1, dtype=records.STATE)
+        self.record, self.trials, self.rows, self.slots = records.blank(vertices)
         self.state: Any = self.record[0]
         self.corner = np.empty((vertices, 3))
-        self.pose = np.zeros(4)
+        self.pose, self.tilt_rad = np.zeros(4), 0.0
         self.direct = True
         self.reset_blocks()
         self.regrasp(0.0, 0.0)
 
     def reset_blocks(self) -> None:
         """Put both blocks back at the scene's positions."""
-        half = 0.5 * self.scene.blocks.gap_mm
-        weight = float(self.constants["block_weight"][0])
-        sink = weight / (4.0 * BASE_K) if self.active.free_blocks else 0.0
-        self.state["block_turn"][:] = np.stack([np.eye(3), np.diag([-1.0, -1.0, 1.0])])
-        self.state["block"][:] = [[half, 0.0, -sink], [-half, 0.0, -sink]]
-        self.slots["force"][self.base_slot :] = 0.25 * weight if self.active.free_blocks else 0.0
+        weight_n = float(self.constants["block_weight"][0]) if self.active.free_blocks else 0.0
+        rest_blocks(self.state, 0.5 * self.scene.blocks.gap_mm, weight_n / (4.0 * BASE_K))
+        self.slots["force"][self.base_slot :] = 0.25 * weight_n
         self.slots["slide"][self.base_slot :] = 0.0
 
     def regrasp(self, x_mm: float, theta_deg: float) -> CellState:
@@ -79,26 +70,24 @@ class QuasiStaticCell:
         spread = self.scene.grasp
         tilt = np.radians(self.rng.normal(0.0, 1.0, 2) * (spread.pre_tilt_spread_deg, spread.pre_yaw_spread_deg))
         rotation_into(self.state["turn"], 0.0, tilt[0], tilt[1])
-        self.state["place"][:] = 0.0
-        self.state["mode"][:] = contact.TOP
+        self.state["place"][:], self.state["mode"][:] = 0.0, contact.TOP
         self.slots[: self.base_slot] = 0
         for name in ("sx", "sz", "slipped"):
             self.nodes[name] = 0.0
         self.grasp_lost, self._each = False, 1.0
         if self.coasting is not None:
             self.coasting.velocity[:] = 0.0
-        self.pose = np.array([0.0, 0.0, spread.height_mm + 10.0 * APPROACH_MM, 0.0])
+        self.pose, self.tilt_rad = np.array([0.0, 0.0, spread.height_mm + 10.0 * APPROACH_MM, 0.0]), 0.0
+        close = partial(close_fingers, self.scene, self._work())
         if self.layer is None:
-            self._close()
-        elif not self.layer.close(self._close):
+            close()
+        elif not self.layer.close(close):
             text = f"scene {self.scene.name!r}: the pads do not settle while the fingers close"
             raise PhysicsError(text, "pads unsettled")
         self._advance(self.pose)
         # place the hand so that the object has the requested error
-        x, theta = self._object_error()
-        self.pose[3] += math.radians(theta_deg - theta)
-        x, theta = self._object_error()
-        self.pose[0] += x_mm - x
+        self.pose[3] += math.radians(theta_deg - self._object_error()[1])
+        self.pose[0] += x_mm - self._object_error()[0]
         self.pose[2] = APPROACH_MM + spread.height_mm
         return self.look()
 
@@ -107,9 +96,6 @@ class QuasiStaticCell:
         return records.Workspace(
             self.constants, self.record, self.trials, self.rows, self.slots, self.nodes, self.foot, self.corner
         )
-
-    def _close(self) -> None:
-        close_fingers(self.scene, self._work())
 
     def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
         """Move the TCP in a straight line; yaw about +z. Raises PhysicsError where no equilibrium is found."""
@@ -140,6 +126,13 @@ class QuasiStaticCell:
         self.pose = target
         return self.look()
 
+    def tilt_to(self, tilt_deg: float) -> CellState:
+        """Tilt the hand about its own y, the object with it; only clear of the blocks, else ValueError."""
+        if not math.isfinite(tilt_deg) or self._touching:
+            raise ValueError(f"tilt_to: expected a finite angle and an object that touches nothing, got {tilt_deg}")
+        self.tilt_rad = math.radians(tilt_deg)
+        return self.look()
+
     def wait(self, time_s: float) -> CellState:
         """Stand still: inertia oscillates, gels creep; nothing else changes. Raises PhysicsError as `move_to` does."""
         if self.grasp_lost or time_s <= 0.0:
@@ -160,7 +153,7 @@ class QuasiStaticCell:
 
     def _free_share(self, target: Array) -> float:
         """Share of a move in which nothing touches, so that the held object just rides along."""
-        if np.any(self.slots["force"][: self.base_slot] > 0.0):
+        if self._touching:
             return 0.0
         now, then = self._lowest(self.pose), self._lowest(target)
         if now > 1e-3 and then > 1e-3:
@@ -169,14 +162,14 @@ class QuasiStaticCell:
         return max(0.0, (now - 0.01) / (now - then)) if vertical and now > then and now > 0.01 else 0.0
 
     def _lowest(self, pose: Array) -> float:
+        turn, place = self._world(pose)
         bottom = np.column_stack([self.foot, np.full(len(self.foot), self.constants["bottom"][0])])
-        heights = bottom @ self.state["turn"][2] + self.state["place"][2] + pose[2]
-        return float(heights.min() - max(0.0, float(self.state["block"][:, 2].max())))
+        return float((bottom @ turn[2]).min() + place[2] - max(0.0, float(self.state["block"][:, 2].max())))
 
     def _solve(self, target: Array, blend: float, *, arrived: bool = False) -> int:
-        start, tolerance_n = target if arrived else self.pose, self.scene.numerics.residual_n
-        status: int = load_step.advance(self._work(), start, target, tolerance_n, self.direct, blend)
-        return status
+        start = target if arrived else self.pose
+        tilted = np.append(start, self.tilt_rad), np.append(target, self.tilt_rad)
+        return int(load_step.advance(self._work(), *tilted, self.scene.numerics.residual_n, self.direct, blend))
 
     def _step(self, target: Array, dt_s: float | None, blend: float) -> int:
         if self.layer is None:
@@ -255,28 +248,35 @@ class QuasiStaticCell:
     def lost(self) -> bool:
         return self.grasp_lost
 
+    @property
+    def _touching(self) -> bool:
+        return bool(np.any(self.slots["force"][: self.base_slot] > 0.0))
+
     def _grips(self) -> Array:
         return np.asarray(self.nodes["pressure"].reshape(2, -1).sum(axis=1) * self.constants["area"][0])
 
-    def _world(self) -> tuple[Array, Array]:
-        hand = np.empty((3, 3))
-        rotation_into(hand, 0.0, 0.0, self.pose[3])
-        return hand @ self.state["turn"], hand @ self.state["place"] + self.pose[:3]
+    def _world(self, pose: Array | None = None) -> tuple[Array, Array]:
+        """The object's turn [3, 3] and place [3] in the world; pose: of the hand, else where it is."""
+        pose, hand = self.pose if pose is None else pose, np.empty((3, 3))
+        hand_into(hand, pose[3], self.tilt_rad)
+        return hand @ self.state["turn"], hand @ self.state["place"] + pose[:3]
 
     def _centre(self) -> Array:
         turn, place = self._world()
         return np.asarray(place + turn[:, 2] * float(self.constants["mass_height"][0]))
 
-    def _object_error(self) -> tuple[float, float]:
+    def _bottom(self) -> tuple[Array, Array]:
+        """The object's turn [3, 3] and the middle of its bottom face [3] in the world."""
         turn, place = self._world()
-        bottom = place + turn[:, 2] * float(self.constants["bottom"][0])
+        return turn, place + turn[:, 2] * float(self.constants["bottom"][0])
+
+    def _object_error(self) -> tuple[float, float]:
+        turn, bottom = self._bottom()
         return float(bottom[0]), math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
 
     def look(self) -> CellState:
-        turn, place = self._world()
-        centre = place + turn[:, 2] * float(self.constants["bottom"][0])
-        pose, motion = Pose(turn, centre, self.foot), block_motion(self.state, 0.5 * self.scene.blocks.gap_mm)
-        bottom = float(np.min(self.foot @ turn[2, :2]) + turn[2, 2] * float(self.constants["bottom"][0]) + place[2])
+        turn, bottom = self._bottom()
+        pose, motion = Pose(turn, bottom, self.foot), block_motion(self.state, 0.5 * self.scene.blocks.gap_mm)
         touching = (self.nodes["pressure"] > 0.0).reshape(2, -1).sum(axis=1)
         slipped = self.nodes["slipped"].reshape(2, -1).sum(axis=1)
         return CellState(
@@ -286,9 +286,9 @@ class QuasiStaticCell:
             wrench_n_nmm=self.state["wrench"].copy(),
             in_hand=np.concatenate([self.state["place"], rotation_vector(self.state["turn"])]),
             object_error=self._object_error(),
-            bottom_z_mm=bottom,
+            bottom_z_mm=float(np.min(self.foot @ turn[2, :2]) + bottom[2]),
             block_motion=motion,
-            in_contact=bool(np.any(self.slots["force"][: self.base_slot] > 0.0)),
+            in_contact=self._touching,
             shortfalls=tuple(reasons_against(pose, motion, self.scene.blocks, grasp_lost=self.grasp_lost)),
             grasp_lost=self.grasp_lost,
             residual_n=float(self.state["report"][0]),

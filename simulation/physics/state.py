@@ -9,6 +9,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+def rest_blocks(state: Any, half_gap_mm: float, sink_mm: float) -> None:
+    """Put both blocks at the gap's sides, where nothing has moved them, sunk into the table by their weight."""
+    state["block_turn"][:] = np.stack([np.eye(3), np.diag([-1.0, -1.0, 1.0])])
+    state["block"][:] = [[half_gap_mm, 0.0, -sink_mm], [-half_gap_mm, 0.0, -sink_mm]]
+
+
 def block_motion(state: Any, half_gap_mm: float) -> Array:
     """Motion of both blocks, [2, 4]: dx, dy mm, yaw and tilt deg."""
     out = np.zeros((2, 4))

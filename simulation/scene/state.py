@@ -59,11 +59,13 @@ class CellState:
 class Cell(Protocol):
     """A simulated cell: a hand with an object above a gap. Frames and signs are those of the work object.
 
-    ``pose`` [4]: the TCP's x, y, z in mm and its yaw in rad.
+    ``pose`` [4]: the TCP's x, y, z in mm and its yaw in rad. ``tilt_rad``: of the hand about its own y, 0 after a
+    regrasp.
     """
 
     scene: Scene
     pose: Array
+    tilt_rad: float
     pace_mm_s: float
     """Speed of the moves that follow, where it matters."""
 
@@ -82,6 +84,9 @@ class Cell(Protocol):
 
     def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
         """Move the TCP in a straight line. Raises PhysicsError where no equilibrium is found."""
+
+    def tilt_to(self, tilt_deg: float) -> CellState:
+        """Tilt the hand about its own y, the object with it; only clear of the blocks, else ValueError."""
 
     def look(self) -> CellState:
         """The state now, without moving."""

@@ -59,6 +59,11 @@ class Unstated(Part):
         straight = self.tcp_offset_mm == (0.0, 0.0) and self.frame_yaw_deg == 0.0 and self.blocks_up_mm == 0.0
         return straight and self.x_sign == self.yaw_sign == 1
 
+    @property
+    def wired_right(self) -> bool:
+        """Whether nothing is swapped, mirrored or reversed, as a commissioning makes sure."""
+        return not (self.swapped_fingers or any(self.mirrored)) and self.x_sign == self.yaw_sign == 1
+
     def residual_px(self, index: int, centre_px: tuple[float, float]) -> NDArray[np.float64] | None:
         """Error of a camera's calibration, [3, 3] on rectified pixels about the picture's centre, or None."""
         if self.camera_scale[index] == 1.0 and self.camera_roll_deg[index] == 0.0:

@@ -75,6 +75,8 @@ class Running:
         match message:
             case wire.Armed():
                 self.phase = "armed"
+            case wire.Straighten():
+                self.phase = "correcting"
             case wire.Slip() | wire.Enough():
                 self.phase = "stopping"
             case wire.Correction():

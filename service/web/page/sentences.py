@@ -75,6 +75,7 @@ LINES: dict[type, Callable[[Any], str]] = {
     wire.Slip: lambda m: f"{m.finger} finger felt slip, stopped",
     wire.Correction: lambda m: f"moves {shift(m.dx_mm, m.dtheta_deg)}",
     wire.NoDecision: lambda m: f"no decision: {m.detail}",
+    wire.Straighten: lambda m: f"straightens the object: tool tilted to {m.tilt_deg:+.1f}°",
     wire.Refused: lambda m: f"not started: {m.detail}",
     wire.Fault: lambda m: f"{m.code.replace('_', ' ')}: {m.detail}",
 }

@@ -10,7 +10,7 @@ from typing import Any
 from numba import njit
 
 from simulation.physics.kernels import contact
-from simulation.physics.kernels.linear import apply, apply_t, product_into, rotation_into, turn_in_place
+from simulation.physics.kernels.linear import apply, apply_t, hand_into, product_into, rotation_into, turn_in_place
 
 ARM_MM = 10.0  # turns a torque residual into a force
 
@@ -42,17 +42,17 @@ def copy_trial(source: Any, into: Any) -> None:
 
 @njit(cache=True)
 def begin(work: Any, pose: Any, target: Any) -> None:
-    """Set the trial to the state, with the hand already at its target (x, y, z mm, yaw rad)."""
+    """Set the trial to the state, with the hand already at its target (x, y, z mm, yaw and tilt rad)."""
     state, trial, nodes, friction = work.state[0], work.trials[0], work.nodes, work.constants[0].friction
     copy_poses(state, trial)
     trial.opening = state.opening
     for a in range(trial.xi.shape[0]):
         trial.xi[a] = 0.0
     rotation_into(trial.step_turn, 0.0, 0.0, 0.0)
-    rotation_into(trial.spin, 0.0, 0.0, pose[3])
+    hand_into(trial.spin, pose[3], pose[4])
     product_into(trial.start_turn, trial.spin, state.turn)
     start = apply(trial.spin, state.place[0], state.place[1], state.place[2])
-    rotation_into(trial.hand, 0.0, 0.0, target[3])
+    hand_into(trial.hand, target[3], target[4])
     for a in range(3):
         trial.step[a], trial.tcp[a] = 0.0, target[a]
         trial.start[a] = trial.world[a] = start[a] + pose[a]
@@ -166,12 +166,21 @@ def _inertia(constants: Any, trial: Any) -> float:
 
 @njit(cache=True)
 def _gravity(constants: Any, trial: Any) -> float:
-    """Potential of the held object's weight, N mm; adds its gradient."""
+    """Potential of the held object's weight, N mm; adds its gradient. The vertical is that of the tilted hand."""
     grad, turn, height, weight = trial.grad, trial.turn, constants.mass_height, constants.weight
-    grad[2] += weight
-    grad[3] += (turn[1, 2] * height + trial.place[1]) * weight
-    grad[4] -= (turn[0, 2] * height + trial.place[0]) * weight
-    return float(weight * (turn[2, 2] * height + trial.place[2]))
+    up = trial.hand[2, 0], trial.hand[2, 1], trial.hand[2, 2]
+    c = (
+        trial.place[0] + turn[0, 2] * height,
+        trial.place[1] + turn[1, 2] * height,
+        trial.place[2] + turn[2, 2] * height,
+    )
+    grad[0] += up[0] * weight
+    grad[1] += up[1] * weight
+    grad[2] += up[2] * weight
+    grad[3] += (c[1] * up[2] - c[2] * up[1]) * weight
+    grad[4] += (c[2] * up[0] - c[0] * up[2]) * weight
+    grad[5] += (c[0] * up[1] - c[1] * up[0]) * weight
+    return float(weight * (up[0] * c[0] + up[1] * c[1] + up[2] * c[2]))
 
 
 @njit(cache=True)

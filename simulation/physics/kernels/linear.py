@@ -26,6 +26,15 @@ def rotation_into(out: Any, x: float, y: float, z: float) -> None:
 
 
 @njit(cache=True)
+def hand_into(out: Any, yaw: float, tilt: float) -> None:
+    """Rotation matrix [3, 3] of a hand turned by yaw about z, and tilted by tilt about its own y, both in rad."""
+    cy, sy, ct, st = math.cos(yaw), math.sin(yaw), math.cos(tilt), math.sin(tilt)
+    out[0, 0], out[0, 1], out[0, 2] = cy * ct, -sy, cy * st
+    out[1, 0], out[1, 1], out[1, 2] = sy * ct, cy, sy * st
+    out[2, 0], out[2, 1], out[2, 2] = -st, 0.0, ct
+
+
+@njit(cache=True)
 def product_into(out: Any, a: Any, b: Any) -> None:
     """Product of two [3, 3] matrices; out must be neither of them."""
     for i in range(3):

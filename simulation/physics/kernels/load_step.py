@@ -50,7 +50,7 @@ def _finish(work: Any) -> None:
 
 @njit(cache=True, nogil=True)
 def advance(work: Any, pose: Any, target: Any, tol: float, direct: bool, blend: float) -> int:
-    """One load step: the hand goes from pose to target (x, y, z mm, yaw rad); the state follows. Gives a status code.
+    """One load step: the hand goes from pose to target (x, y, z mm, yaw and tilt rad). Returns a status code.
 
     work is a `Workspace`; STALLED and LOST leave its state as it was. blend below 1: the share of a round by which
     friction limits follow where whole rounds do not settle; EXACT: `exact.solve` there instead.

@@ -154,3 +154,9 @@ def slot_count(vertices: int) -> int:
 def row_count(vertices: int) -> int:
     """Rows that can be active at once."""
     return 2 * (4 + 2 * vertices) + 8
+
+
+def blank(vertices: int) -> tuple[Records, Records, Records, Records]:
+    """New state [1], trials [3], rows and slots of an object with that many vertices."""
+    slots = np.zeros(slot_count(vertices) + 8, dtype=SLOT)
+    return np.zeros(1, dtype=STATE), np.zeros(3, dtype=TRIAL), np.zeros(row_count(vertices), dtype=ROW), slots

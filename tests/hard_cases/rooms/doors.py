@@ -8,7 +8,7 @@ import numpy as np
 
 from robot_client.grippers.wsg50.codec import encode_request
 from robot_client.grippers.wsg50.codes import Command
-from robot_client.insertion.geometry import CellFrame, Pose, WorkPose, multiply, normalised, rotate, yaw_quaternion
+from robot_client.insertion.geometry import CellFrame, Pose, WorkPose, multiply, normalised, rotate, turn_quaternion
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import MotionGuide, Ramps
 from robot_client.insertion.profile import plan_profile
@@ -77,7 +77,7 @@ def doors_of_the_decision(_seed: int) -> float:
     "motion",
     why="a target is a dozen multiplications away from the number that spoiled it",
     holds="every function of the robot client that takes numbers refuses NaN: functions that do not",
-    guard=Guard("robot_client.insertion.geometry:yaw_quaternion", "every number counts as finite", blind),
+    guard=Guard("robot_client.insertion.geometry:turn_quaternion", "every number counts as finite", blind),
 )
 def doors_of_the_robot_client(_seed: int) -> float:
     def advance(value: float) -> object:
@@ -92,11 +92,13 @@ def doors_of_the_robot_client(_seed: int) -> float:
     doors: list[Door] = [
         lambda v: WorkPose(x_mm=v, y_mm=0.0, z_mm=0.0, yaw_deg=0.0),
         lambda v: pose().corrected(v, 0.0),
+        lambda v: pose().tilted(v),
         lambda v: pose().towards(pose(x=1.0), v),
         lambda v: multiply((v, 0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)),
         lambda v: rotate((1.0, 0.0, 0.0, 0.0), (v, 0.0, 0.0)),
         lambda v: normalised((v, 0.0, 0.0, 1.0)),
-        yaw_quaternion,
+        turn_quaternion,
+        lambda v: turn_quaternion(0.0, v),
         lambda v: CellFrame(origin_mm=(0.0, v, 0.0)),
         lambda v: CellFrame(rotation=(v, 0.0, 0.0, 0.0)),
         lambda v: CellFrame().from_controller(Pose(v, 0.0, 0.0)),

@@ -5,7 +5,7 @@ from dataclasses import fields, is_dataclass
 
 import numpy as np
 
-from robot_client.insertion.geometry import CellFrame, Pose, WorkPose, multiply, normalised, rotate, yaw_quaternion
+from robot_client.insertion.geometry import CellFrame, Pose, WorkPose, multiply, normalised, rotate, turn_quaternion
 from robot_client.insertion.profile import plan_profile
 from service.decision.belief import BeliefGrid
 from service.decision.controllers import axis_command, make_controller
@@ -67,7 +67,7 @@ def extremes_in_the_robot_client(_seed: int) -> float:
             lambda v: multiply((v, v, 0.0, 0.0), (v, 1.0, 0.0, 0.0)),
             lambda v: rotate((1.0, 0.0, 0.0, 0.0), (v, v, v)),
             lambda v: normalised((v, 0.0, 0.0, 1.0)),
-            yaw_quaternion,
+            turn_quaternion,
             lambda v: CellFrame(origin_mm=(v, 0.0, 0.0)).to_controller(pose(x=1e5)),
             lambda v: CellFrame(origin_mm=(-v, 0.0, 0.0)).from_controller(Pose(v, v, v)),
             lambda v: pose(x=v).distance_mm(pose(x=-v)),

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from robot_client.insertion.geometry import CellFrame, Pose, WorkPose, multiply, normalised, yaw_quaternion
+from robot_client.insertion.geometry import CellFrame, Pose, WorkPose, multiply, normalised, turn_quaternion
 from robot_client.insertion.limits import LimitError, Limits, StepGuard, check_correction, check_pose
 from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramps
 from robot_client.insertion.profile import plan_profile
@@ -133,7 +133,7 @@ def quaternions_of_no_length(_seed: int) -> float:
     quick=False,
 )
 def long_chains_of_small_turns(seed: int) -> tuple[float, str]:
-    turns = [yaw_quaternion(float(v)) for v in np.random.default_rng(seed).normal(0, 1, 100)]
+    turns = [turn_quaternion(float(v)) for v in np.random.default_rng(seed).normal(0, 1, 100)]
     q = (1.0, 0.0, 0.0, 0.0)
     for index in range(100_000):
         q = multiply(q, turns[index % 100])

@@ -284,4 +284,4 @@ def test_an_arm_stands_while_it_stays_within_a_window(step_mm, step_deg, stands)
 def test_a_camera_that_does_not_tell_its_rate_is_not_too_slow():
     camera = wire.CameraEntry(finger="left", source="s", state="live", frame_rate_hz=None)
     Lease().check_rate(10.0, camera)
-    PLAN.check_camera(camera)
+    PLAN.check_cameras([camera])

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from robot_client.insertion.geometry import TOOL_DOWN, CellFrame, WorkPose, multiply, normalised, yaw_quaternion
+from robot_client.insertion.geometry import TOOL_DOWN, CellFrame, WorkPose, multiply, normalised, turn_quaternion
 from robot_client.insertion.limits import LimitError, Limits, StepGuard, check_correction, check_pose
 from robot_client.insertion.motion import CYCLE_S, SETTLE_S, TURN_DEG_S, MotionGuide, Ramp, Ramps
 from robot_client.insertion.profile import plan_profile
@@ -181,7 +181,7 @@ def test_a_yaw_correction_turns_about_the_vertical_of_the_work_object_through_th
     before = frame.to_controller(pose(x=5, yaw=yaw))
     after = frame.to_controller(pose(x=5, yaw=yaw).corrected(0.0, turn))
     assert (before.x_mm, before.y_mm, before.z_mm) == pytest.approx((after.x_mm, after.y_mm, after.z_mm))
-    expected = multiply(multiply(multiply(rotation, yaw_quaternion(yaw + turn)), TOOL_DOWN), (1, 0, 0, 0))
+    expected = multiply(multiply(multiply(rotation, turn_quaternion(yaw + turn)), TOOL_DOWN), (1, 0, 0, 0))
     dot = sum(a * b for a, b in zip(after.quaternion, expected, strict=True))
     assert abs(dot) == pytest.approx(1.0)
 

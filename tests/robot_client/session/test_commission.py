@@ -211,7 +211,11 @@ def test_a_real_cell_inserts_only_with_the_record_of_its_commissioning(tmp_path)
         asked(real)
     keep_record(path, record)
     assert asked(real).gels == record.gels
-    assert asked(Settings(simulated=True)) == with_commissioning(Settings(), PLAN, asked=False) == PLAN
+    simulated, unasked = asked(Settings(simulated=True)), with_commissioning(Settings(), PLAN, asked=False)
+    assert not simulated.gels
+    assert unasked == PLAN
+    tilts = [plan.most_tilt_deg for plan in (asked(real), simulated, unasked)]
+    assert tilts == [1.5, 1.5, 0.0], "whose signs nobody has checked never tilts"
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"version": 1}', '{"version": 9, "begun": "x", "seed": 0}'])

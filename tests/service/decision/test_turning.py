@@ -15,7 +15,9 @@ from service.decision.turning import (
     GIVEN_BACK,
     GOING_IN_DEG,
     HANGS_DEG,
+    LEAST_TILT_DEG,
     STANDS_DEG,
+    TAKEN_BACK,
     TURNED_DEG,
     LastingTurn,
     hangs_turned,
@@ -97,7 +99,10 @@ def test_a_turn_that_one_finger_does_not_show_is_not_known_and_the_object_is_tak
 def test_of_an_attempt_that_was_not_seen_nobody_knows_what_it_left():
     turn = LastingTurn()
     turn.pressed(None)
-    assert "do not show" in turn.lifted(FREE)
+    turn.lifted(FREE)
+    assert "do not show" in turn.askew(FREE)
+    turn.most_tilt_deg = 2.0
+    assert turn.straightening() is None
 
 
 @given(st.floats(-0.05, 0.05), st.sampled_from(["left", "right"]))
@@ -144,12 +149,38 @@ def test_a_finger_that_has_let_go_does_not_hide_what_the_other_shows():
 def test_a_grasp_adds_up_its_turns_until_the_object_has_to_be_taken_afresh():
     grasp = GraspRecord(50.0)
     grasp.blocked(pressed(0.1, 0.05))
-    assert "turned the object in the hand" in grasp.turn.lifted(FREE)
+    grasp.turn.lifted(FREE)
+    assert "turned the object in the hand" in grasp.turn.askew(FREE)
     assert abs(grasp.turn.deg) > TURNED_DEG
     grasp.turn.lifted(last(0.0, 0.005))  # another pair of the same object in the air says nothing new
     grasp.blocked(pressed(-0.1, -0.05))
-    assert not grasp.turn.lifted(FREE)
+    grasp.turn.lifted(FREE)
+    assert not grasp.turn.askew(FREE)
     assert grasp.turn.deg == pytest.approx(0.0, abs=1e-3)
+
+
+@given(st.floats(-4.0, 4.0), st.floats(0.0, 2.0))
+def test_a_tool_that_may_tilt_far_enough_holds_the_object_upright(turn_deg, most_deg):
+    turn = LastingTurn(deg=turn_deg, most_tilt_deg=most_deg)
+    wanted_deg = turn.straightening()
+    if abs(turn_deg) * TAKEN_BACK > most_deg + 1e-9:
+        assert wanted_deg is None
+        assert bool(turn.askew(FREE)) == (abs(turn_deg) > TURNED_DEG)
+    elif wanted_deg is None:
+        assert abs(turn_deg) * TAKEN_BACK <= LEAST_TILT_DEG
+    else:
+        assert wanted_deg * turn_deg < 0.0, "the tool tilts against the turn"
+        turn.tilt_deg = wanted_deg
+        assert turn.straightening() is None, "once is enough"
+        assert not turn.askew(FREE)
+        assert turn.left_deg == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_tool_tilted_against_the_turn_is_tilted_back_with_it():
+    turn = LastingTurn(deg=0.1, tilt_deg=-0.7, most_tilt_deg=1.5)
+    assert turn.straightening() == pytest.approx(-0.1 * TAKEN_BACK)
+    turn = LastingTurn(deg=0.0, tilt_deg=-0.7)  # a client that may not tilt, and yet has
+    assert "about 0.0 deg" in turn.askew(FREE)
 
 
 @pytest.mark.parametrize(("hold_px", "least_deg", "most_deg"), [(np.inf, -0.5, 0.3), (3.0, 0.5, 4.5)])

@@ -197,3 +197,48 @@ def test_full_depth_ends_an_insertion_by_what_is_doubted_of_it(
     assert asked == [(session.attempt, 5, 500.0)]
     assert session.attempt is not None
     assert session.attempt.gripper_width_mm == 49.0
+
+
+def blocked_and_turned(session: InsertionSession, deg: float) -> None:
+    """An attempt has ended without a decision, and is known to have turned the object."""
+    armed(session)
+    session.on_camera_fault("camera_lost", "left is gone")
+    session.handle(stopped(), S)
+    assert session.decider is not None
+    session.decider.grasp.turn.deg = deg
+
+
+def test_a_client_that_may_tilt_its_tool_is_asked_to_and_arms_the_same_attempt_again(models: ModelSet) -> None:
+    session = make_session(models, drawn.calibration())
+    session.handle(wire.ClientHello(insertion_id=ID, client="test", most_tilt_deg=1.5), 0)
+    blocked_and_turned(session, 1.0)
+    session.handle(arm(2), 2 * S)
+    (asked,) = session.on_pair(drawn.pair(1, start_ns=2 * S), 2 * S)
+    assert (asked.type, asked.attempt) == ("straighten", 2)
+    assert asked.tilt_deg == pytest.approx(-0.7)
+    assert not session.wants_frames, "the arm moves freely"
+    assert session.on_pair(drawn.pair(2, start_ns=2 * S), 2 * S) == []
+    assert session.on_tick(60 * S) == [], "and takes its time"
+    (fault,) = session.handle(wire.Descending(insertion_id=ID, attempt=2, speed_mm_s=5.0), 60 * S)
+    assert "not armed" in fault.detail
+    (fault,) = session.handle(arm(3), 60 * S)
+    assert fault.detail == "arm of attempt 3, but attempt 2 is not decided yet"
+    session.handle(arm(2, tilt_deg=asked.tilt_deg), 61 * S)
+    (answer,) = session.on_pair(drawn.pair(3, start_ns=61 * S), 61 * S)
+    assert (answer.type, answer.attempt) == ("armed", 2)
+
+
+def test_a_tool_that_did_not_tilt_as_asked_is_asked_again_and_a_client_that_may_not_is_refused(
+    session: InsertionSession, models: ModelSet
+) -> None:
+    blocked_and_turned(session, 1.0)
+    session.handle(arm(2), 2 * S)
+    (refused,) = session.on_pair(drawn.pair(1, start_ns=2 * S), 2 * S)
+    assert (refused.type, refused.reason) == ("refused", "turned_in_hand")
+    tilting = make_session(models, drawn.calibration())
+    tilting.handle(wire.ClientHello(insertion_id=ID, client="test", most_tilt_deg=1.5), 0)
+    blocked_and_turned(tilting, 1.0)
+    for number, (tilt_deg, kind) in enumerate(((0.0, "straighten"), (0.7, "straighten"), (-0.7, "armed")), 1):
+        tilting.handle(arm(2, tilt_deg=tilt_deg), 2 * S)
+        (answer,) = tilting.on_pair(drawn.pair(number, start_ns=2 * S), 2 * S)
+        assert answer.type == kind

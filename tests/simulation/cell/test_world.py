@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from robot_client.insertion.geometry import CellFrame, WorkPose
 from simulation.cell.emulators.abb.motion import Pose, tool_down
 from simulation.cell.world import World
 from simulation.physics.quasistatic import QuasiStaticCell
@@ -17,7 +18,7 @@ FRAMES_N = 12
 class Recorder:
     """Mechanics that only note at what pace they are moved."""
 
-    relaxes, pace_mm_s = False, 0.0
+    relaxes, pace_mm_s, tilt_rad = False, 0.0, 0.0
 
     def __init__(self, gel):
         self.gel, self.paces_mm_s = gel, []
@@ -72,3 +73,27 @@ def test_a_gel_that_relaxes_goes_on_creeping_while_the_arm_stands(share):
     else:
         assert relaxed == 0.0
         assert np.array_equal(gels[0], gels[-1])
+
+
+def test_the_object_is_tilted_with_the_arm_in_the_air_and_not_while_it_touches():
+    scene = load_scene("rectangle", grasp__pre_tilt_spread_deg=0.0)
+    cell = QuasiStaticCell(scene, 0)
+    cell.regrasp(8.0, 0.0)
+    x, y, z, _ = map(float, cell.pose)
+    arm = [Pose((x, y, z), tool_down(0.0))]
+    world = World(cell, lambda _force_n, _part_n: arm[0], lambda: arm[0], sensor=scene.sensor, fps=30.0)
+    world.warm()
+    level_mm = world.state.bottom_z_mm
+    leaning = CellFrame().to_controller(WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=0.0, tilt_deg=-1.2)).quaternion
+    arm[0] = Pose((x, y, z), leaning)
+    assert arm[0].lean_deg == pytest.approx(-1.2)
+    world.warm()
+    assert np.degrees(cell.tilt_rad) == pytest.approx(-1.2)
+    half_mm = 0.5 * float(np.ptp(scene.object.footprint_mm[:, 0]))
+    assert level_mm - world.state.bottom_z_mm == pytest.approx(half_mm * np.sin(np.radians(1.2)), abs=0.02)
+    arm[0] = Pose((x, y, z - 6.5), leaning)
+    world.warm()
+    assert world.state.in_contact
+    arm[0] = Pose((x, y, z - 6.5), tool_down(0.0))
+    world.warm()
+    assert np.degrees(cell.tilt_rad) == pytest.approx(-1.2)

@@ -121,3 +121,28 @@ def test_open_gels_are_seen_as_the_cameras_are_wired():
     assert not np.array_equal(left, right)
     np.testing.assert_array_equal(opened(swapped_fingers=True), (right, left))
     np.testing.assert_array_equal(opened(mirrored=(False, True)), (left, right[:, ::-1]))
+
+
+def test_a_cell_whose_signs_are_known_straightens_what_another_has_to_regrasp() -> None:
+    """A slippery gel lets the object turn by most of a degree in the first two attempts."""
+    slow = {"ramps": {"descend": {"speed_mm_s": 5.0, "acceleration_mm_s2": 100.0, "jerk_mm_s3": 2000.0}}}
+    job = Job("rectangle", 0, 8.0, 6.0, 3, "belief", "fields", changes={"gel.friction": 0.4}, client=slow)
+    ends = {}
+    for known in (True, False):
+        insertion = stage(job, models_of(released_models()))
+        plan = insertion.state.plan.model_copy(update={"signs_known": known})
+        insertion.state = replace(insertion.state, plan=plan)
+        outcome = insertion.run()
+        assert outcome.inserted
+        ends[known] = outcome.grasps, sum(outcome.seconds.values()), insertion.cell.tilt_deg
+    assert ends[True][0] == 1
+    assert 0.3 < abs(ends[True][2]) <= plan.limits.max_straighten_deg
+    assert ends[False][0] == 2
+    assert ends[False][2] == 0.0
+    assert ends[True][1] < ends[False][1], "a regrasp takes longer"
+
+
+def test_a_miswired_cell_knows_no_signs() -> None:
+    for unstated, known in (({}, True), ({"mirrored": (True, False)}, False), ({"x_sign": -1}, False)):
+        job = Job("rectangle", 0, 8.0, 6.0, 3, "belief", "fields", unstated=unstated)
+        assert stage(job, models_of(released_models())).state.plan.signs_known == known

@@ -36,7 +36,7 @@ STATE = {
 class TwoLinePhysics:
     """The object follows the hand rigidly; deeper than the block tops off centre is contact."""
 
-    relaxes = False
+    relaxes, tilt_rad = False, 0.0
 
     def __init__(self):
         self.lost = self.broken = False

@@ -140,7 +140,7 @@ def test_an_object_held_at_a_corner_keeps_its_equilibrium_while_it_is_pressed() 
         state = cell.move_to(cell.pose[0], 0.0, 30.0 - depth_mm, math.degrees(cell.pose[3]))
         assert state.residual_n <= 1e-6
         assert state.in_contact
-        assert not cell.lost()
+        assert not cell.grasp_lost
     np.testing.assert_allclose(cell.layer.kernel(cell.layer._tractions()), cell.layer.surface, atol=1e-9)
 
 

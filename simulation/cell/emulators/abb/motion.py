@@ -50,6 +50,12 @@ class Pose:
         return math.degrees(math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z)))
 
     @property
+    def lean_deg(self) -> float:
+        """Rotation of the tool about the axis along which its fingers close; 0 where its x axis is level."""
+        w, x, y, z = self.quaternion
+        return math.degrees(math.asin(max(-1.0, min(1.0, 2.0 * (w * y - x * z)))))
+
+    @property
     def tilt_deg(self) -> float:
         """Angle between the tool's z axis and the vertical, whichever way the tool frame points."""
         _, x, y, _ = self.quaternion
