@@ -159,9 +159,11 @@ def insert(report: Report, loop: Loop, what: str, tries: int = 3) -> bool:
         time.sleep(10.0 * attempt)  # an overloaded machine makes it hold, rightly; give that time to pass
         with loop.client() as client:
             output = client.communicate(timeout=300)[0]
-        inserted = dict_of(loop.truth().get("object")).get("inserted") is True
+        held = dict_of(loop.truth().get("object"))
+        inserted = held.get("inserted") is True
         attempts = output.count("\nattempt ")
-        endings.append(f"exit {client.returncode} after {attempts} attempts: {ending(output)}")
+        claimed = f" (in truth: {held.get('shortfalls')})" if client.returncode == 0 and not inserted else ""
+        endings.append(f"exit {client.returncode} after {attempts} attempts: {ending(output)}{claimed}")
         if client.returncode == 0 and inserted:
             break
     report.add(what, f"{'; then '.join(endings)}; {time.monotonic() - started:.0f} s", inserted)
