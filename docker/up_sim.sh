@@ -20,12 +20,4 @@ ready cell "${ADMIN_PORT:-8184}" /healthz
 $COMPOSE --profile sim up --detach service-sim
 ready service-sim "$port" /readyz
 echo "up-sim: ready after $waited s, dashboard at http://127.0.0.1:$port/"
-# What a client may know of the task differs from object to object; the cell wrote it down.
-told=$($COMPOSE --profile sim exec -T cell python -c "import json
-t = json.load(open('cell.json'))
-print(t['approach']['z_mm'], t['gap_width_mm'], t['expected_depth_mm'])")
-# shellcheck disable=SC2086 # three numbers
-set -- $told
-APPROACH_Z_MM=$1 GAP_WIDTH_MM=$2 EXPECTED_DEPTH_MM=$3
-export APPROACH_Z_MM GAP_WIDTH_MM EXPECTED_DEPTH_MM
 $COMPOSE --profile sim-insert run --rm -T robot-client-sim

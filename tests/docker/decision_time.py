@@ -1,4 +1,4 @@
-"""How long the networks take after the last frame: p50 and p99 in ms over N decisions, as one JSON line.
+"""How long the networks take after the last frame: p50 and p99 in ms over N decisions, and which they are, as JSON.
 
 usage: python decision_time.py MODELS [N]      Run with the service importable, inside a container and outside.
 """
@@ -30,7 +30,9 @@ def main(folder: str, decisions: int) -> None:
         wall_ms.append((time.perf_counter() - started) * 1e3)
     p50, p99 = np.percentile(wall_ms, (50, 99))
     cpu_p99 = np.percentile(cpu_ms, 99)
-    print(json.dumps({"p50_ms": float(p50), "p99_ms": float(p99), "cpu_p99_ms": float(cpu_p99)}))
+    networks = [step.sha256 for step in models.steps]
+    figures = {"p50_ms": float(p50), "p99_ms": float(p99), "cpu_p99_ms": float(cpu_p99), "networks": networks}
+    print(json.dumps(figures))
 
 
 if __name__ == "__main__":

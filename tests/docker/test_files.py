@@ -8,9 +8,11 @@ import threading
 
 import pytest
 
+from service.contract.shipped import released_models
 from service.session.station import open_station
 from service.settings import Settings
 from service.web.metrics import Metrics
+from tests.docker.verify_images import MODELS
 from tests.docs.commands import ROOT
 
 DOCKER = ROOT / "docker"
@@ -47,6 +49,11 @@ def test_an_image_carries_its_own_room_and_nothing_of_a_sibling(path):
         re.findall(r"^COPY ((?:service|robot_client|simulation|training|export)\S*) ", path.read_text(), re.MULTILINE)
     )
     assert copied == MAY_COPY[path.stem]
+
+
+def test_the_image_has_the_released_networks_and_is_compared_with_them():
+    (copied,) = re.findall(r"^COPY (\S+) /models$", (DOCKER / "service.Dockerfile").read_text(), re.MULTILINE)
+    assert ROOT / copied == released_models().resolve() == MODELS
 
 
 @pytest.mark.parametrize("role", ["service", "robot", "simulation", "run"])
