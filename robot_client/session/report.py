@@ -19,6 +19,7 @@ class AttemptRow(Contract):
     attempt: int
     x_mm: float = 0.0
     yaw_deg: float = 0.0
+    tilt_deg: float = 0.0
     slip_depth_mm: float | None = None
     slip_finger: str = ""
     stop_depth_mm: float | None = None
@@ -56,7 +57,12 @@ class Report:
         if entered and state.phase is Phase.APPROACHING:
             self._show("approaching")
         if entered and state.phase is Phase.ARMING and state.armed is not None:
-            self.rows.append(AttemptRow(attempt=state.attempt, x_mm=state.armed.x_mm, yaw_deg=state.armed.yaw_deg))
+            armed = state.armed
+            if self.rows and self.rows[-1].attempt == state.attempt:  # again, with the tool tilted
+                self.rows.pop()
+            self.rows.append(
+                AttemptRow(attempt=state.attempt, x_mm=armed.x_mm, yaw_deg=armed.yaw_deg, tilt_deg=armed.tilt_deg)
+            )
         if entered and state.phase is Phase.FAILED:
             self._show(f"HOLD  {state.reason}")
 
@@ -152,6 +158,8 @@ def _grasp(state: State) -> list[str]:
 
 def _attempt_line(row: AttemptRow) -> str:
     parts = [f"attempt {row.attempt:2d}  at x {row.x_mm:+6.2f} mm, yaw {row.yaw_deg:+6.2f} deg"]
+    if abs(row.tilt_deg) >= 0.05:
+        parts.append(f"tool tilted {row.tilt_deg:+.1f} deg")
     if row.slip_depth_mm is not None:
         parts.append(f"slip ({row.slip_finger}) at {row.slip_depth_mm:.2f} mm")
     if row.stop_depth_mm is not None:

@@ -53,8 +53,9 @@ def client(
     lift_mm: float = 3.0,
     press_mm: float = PRESS_MM,
     brisk: bool = False,
+    straightens: bool = True,
 ) -> Tables:
-    """Tables of a client, by default as released; ``brisk``: harder ramps."""
+    """Tables of a client, by default as released; ``brisk``: harder ramps; ``straightens``: tilts a turned object."""
     fast_travel_mm = longest_travel_mm(fast_mm_s)
     return {
         "pace": {"fast_mm_s": fast_mm_s, "fast_travel_mm": fast_travel_mm, "lift_mm": lift_mm, "press_mm": press_mm},
@@ -63,16 +64,18 @@ def client(
             "retract": ramp(40.0, 600.0, 10000.0) if brisk else ramp(25.0, 200.0, 4000.0),
             "descend": ramp(probing_mm_s, 400.0, 8000.0) if brisk else ramp(probing_mm_s, 100.0, 2000.0),
         },
-        "limits": {"max_descent_speed_mm_s": max(15.0, fast_mm_s), "max_speed_mm_s": max(80.0, air_mm_s)},
+        "limits": {"max_descent_speed_mm_s": max(15.0, fast_mm_s), "max_speed_mm_s": max(80.0, air_mm_s)}
+        | ({} if straightens else {"max_straighten_deg": 0.0}),
     }
 
 
 POINTS = (
-    Point(BEFORE, client(10.0, NO_LEGS_MM_S, air_mm_s=55.0, lift_mm=APPROACH_MM, press_mm=1.2)),
+    Point(BEFORE, client(10.0, NO_LEGS_MM_S, air_mm_s=55.0, lift_mm=APPROACH_MM, press_mm=1.2, straightens=False)),
     Point(SHIPPED, client()),
     Point("one speed: 10 mm/s all the way", client(10.0, NO_LEGS_MM_S)),
     Point("deep: presses by 1.2 mm", client(press_mm=1.2)),
     Point("high: back up to the approach each time", client(lift_mm=APPROACH_MM)),
+    Point("upright tool: a turned part is regrasped, never straightened", client(straightens=False)),
     Point("heuristic: the paper's rule decides", client(), controller="heuristic"),
     Point("joint: one network instead of two", client(), networks="joint"),
     Point(

@@ -239,6 +239,8 @@ def _choices(of: Row) -> str:
       1.5 mm. Arms with one speed, and cells whose cameras are too slow for the legs, probe all the way.
     - **Pressing: {shipped["client"]["pace"]["press_mm"]:g} mm after the touch instead of 1.2.** The last of the press
       turns the part most (*{_short(of, "deep")}*).
+    - **Straightening: a tool tilted by up to 1.5 deg holds a turned part upright.** Only what turns further, or
+      unseen, is regrasped (*{_short(of, "upright")}*).
     - **Lift: 3 mm above the highest height at which an attempt was stopped.** A part that is upright to 2 deg reaches
       no lower (*{_short(of, "high")}*).
     - **Travel: 80 mm/s,** which the limits have always allowed. A turn keeps to 55 deg/s.

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from robot_client.insertion.events import Hold, Move, Send, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.limits import LimitError, Limits, StepGuard, check_pose
-from robot_client.insertion.machine import Phase, State
+from robot_client.insertion.machine import Phase, State, step
 from robot_client.insertion.motion import CYCLE_S, MotionGuide
+from robot_client.session.report import Report
 from service.contract import wire
 from tests.robot_client.insertion.stories import (
     APPROACH,
@@ -59,6 +60,18 @@ def test_a_turned_object_is_straightened_and_the_attempt_keeps_its_number_and_it
     state, commands = run([service(armed(2))], state)
     descent = next(command for command in commands if isinstance(command, Move))
     assert descent.target == above.tilted(LEAN_DEG).at_height(descent.target.z_mm), "it descends with its tilt"
+
+
+def test_an_attempt_armed_twice_is_one_row_of_the_report_and_says_its_tilt():
+    shown = []
+    report, state = Report(lambda: None, shown.append), State(SIGNED)
+    up = APPROACH.corrected(-3.0, -2.0)
+    story = [*TO_DECISION, service(correction(1)), at(APPROACH.at_height(33.0)), at(up), straighten(2)]
+    for event in [*story, at(up.tilted(LEAN_DEG)), service(armed(2)), service(correction(2))]:
+        state, _ = step(state, event)
+        report.on_event(state, event)
+    assert [(row.attempt, row.tilt_deg) for row in report.rows] == [(1, 0.0), (2, LEAN_DEG)]
+    assert "attempt  2  at x  +5.00 mm, yaw  +4.00 deg, tool tilted -0.8 deg" in shown[-3]
 
 
 def test_later_attempts_keep_the_tilt_until_another_is_asked_for():
