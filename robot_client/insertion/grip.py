@@ -2,13 +2,17 @@
 
 from dataclasses import replace
 
-from robot_client.insertion.actions import Result, approach, fail, hold
+from robot_client.insertion.actions import Result, approach, fail, hold, send
 from robot_client.insertion.events import Grasp, Grasped, PartLost, Width
 from robot_client.insertion.state import Phase, State
+from service.contract import wire
+
+LEAST_WAY_MM = 0.3  # fingers that close by less were closed before
 
 
 def grasp(state: State, at_s: float) -> Result:
-    return replace(state, phase=Phase.GRASPING, deadline_s=at_s + state.plan.timeouts.grasping_s), (Grasp(),)
+    deadline_s = at_s + state.plan.timeouts.grasping_s
+    return replace(state, phase=Phase.GRASPING, open_mm=state.width_mm, deadline_s=deadline_s), (Grasp(),)
 
 
 def on_gripper(state: State, event: Grasped | Width | PartLost) -> Result:
@@ -17,11 +21,22 @@ def on_gripper(state: State, event: Grasped | Width | PartLost) -> Result:
         case PartLost():
             return _on_part_lost(state, event)
         case Grasped() if state.phase is Phase.GRASPING:
-            return approach(replace(state, width_mm=event.width_mm), event.at_s)
+            return _on_grasped(replace(state, width_mm=event.width_mm), event)
         case Width():
             return replace(state, width_mm=event.width_mm), ()
         case _:
             return state, ()
+
+
+def _on_grasped(state: State, event: Grasped) -> Result:
+    """Go on. Where the fingers were on the object all the time, what was learnt as open gels was none.
+
+    So it is with a gripper that reports no part after its last client has left, although its fingers are still closed.
+    """
+    state, commands = approach(state, event.at_s)
+    if state.held or state.open_mm is None or state.open_mm - event.width_mm >= LEAST_WAY_MM:
+        return state, commands
+    return state, (send(wire.LearnOpen(insertion_id=state.plan.insertion_id, forget=True)), *commands)
 
 
 def _on_part_lost(state: State, event: PartLost) -> Result:

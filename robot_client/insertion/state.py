@@ -170,7 +170,8 @@ class State:
 
     ``first_touch_mm`` is the depth at which the first blocked attempt stopped, ``creep_mm`` the additional depth of the
     last one: the object stood on the blocks at both, so it has been pushed up in the hand by about that much. ``held``:
-    the gripper held something when the insertion began. ``width_mm``: distance of its fingers, as far as it reports it.
+    the gripper held something when the insertion began. ``width_mm``: distance of its fingers, as far as it reports it;
+    ``open_mm``: before they closed.
     ``watched_s``: the earliest possible capture of the newest judged frame, on our clock. ``tops``: positions of the
     blocks' tops by the plan and by the attempts so far. ``fast``: the cameras' rate suffices for the fast legs.
     ``speed_mm_s``: of the descent under way; ``speeds``: time (``at_s``), distance (mm) and value (mm/s) of its
@@ -188,6 +189,7 @@ class State:
     stopped_s: float = 0.0
     held: bool = False
     width_mm: float | None = None
+    open_mm: float | None = None
     dropped: bool = False
     no_decisions: int = 0
     reason: str = ""

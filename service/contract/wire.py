@@ -97,9 +97,13 @@ class ClientHello(_Message):
 
 
 class LearnOpen(_Message):
-    """The gripper is open and nothing touches the gels: learn their appearance. Sent before each grasp."""
+    """The gripper is open and nothing touches the gels: learn their appearance. Sent before each grasp.
+
+    ``forget``: it turned out that the fingers were closed on the object; nothing was learnt, and no answer comes.
+    """
 
     type: Literal["learn_open"] = "learn_open"
+    forget: bool = False
 
 
 class Arm(_Message):

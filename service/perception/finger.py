@@ -75,6 +75,10 @@ class TactileFinger:
             f" {OTHER_GEL:g}): are the cameras swapped, is it another gel, or does something touch it?"
         )
 
+    def forget_open(self) -> None:
+        """What was learnt as the open gel was none: only its print can tell whether it is touched."""
+        self._open, self._liveness, self.gel_distance = OpenGel(), Liveness(), None
+
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame; raise ContractError if it is neither raw nor rectified."""
         image, rectify_ms = self._rectified(frame)

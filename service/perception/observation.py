@@ -71,6 +71,9 @@ class FingerWatch(Protocol):
     def learn_open(self, frame: TactileFrame) -> str:
         """Take the frame as the open gel, touched by nothing; returns why that cannot be, or ""."""
 
+    def forget_open(self) -> None:
+        """What was learnt as the open gel was none."""
+
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame; raise ContractError if its size is neither raw nor rectified."""
 

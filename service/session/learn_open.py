@@ -1,5 +1,6 @@
 """The open gels: both fingers before a grasp, learnt from the first frames after the client's request."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from service.contract import FINGERS, Finger, TactileFrame, wire
@@ -19,10 +20,12 @@ class OpenGels:
         """Whether frames are still needed."""
         return self._asked_ns is not None
 
-    def ask(self, now_ns: int) -> None:
-        """Learn from frames captured from now on."""
-        self._asked_ns, self._problem = now_ns, "no frame arrived"
+    def ask(self, message: wire.LearnOpen, fingers: Iterable[FingerWatch], now_ns: int) -> None:
+        """Learn from frames captured from now on, or forget what was learnt."""
+        self._asked_ns, self._problem = None if message.forget else now_ns, "no frame arrived"
         self._learnt.clear()
+        for watch in fingers if message.forget else ():
+            watch.forget_open()
 
     def take(self, insertion_id: str, watch: FingerWatch, frame: TactileFrame) -> list[wire.ServiceMessage]:
         """Learn from a frame; the answer once both fingers are learnt."""

@@ -83,7 +83,7 @@ class InsertionSession:
             case wire.Abort():
                 replies = self._finish(message.cause, self._fingers.unjudged() if message.cause == "unwatched" else ())
             case wire.LearnOpen() if self.attempt is None or self.attempt.stage is Stage.DECIDED:
-                self._open.ask(now_ns)
+                self._open.ask(message, (self.left, self.right), now_ns)
             case _:
                 replies = self._on_attempt_message(message, now_ns)
         return replies

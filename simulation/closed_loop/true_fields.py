@@ -129,6 +129,10 @@ class TrueFieldFinger:
         self._open.learn(self._home)
         return ""
 
+    def forget_open(self) -> None:
+        """What was learnt as the open gel was none."""
+        self._home, self._open = None, OpenGel()
+
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive the moment at which the frame was taken."""
         field = self._field(frame)

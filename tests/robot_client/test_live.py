@@ -140,17 +140,36 @@ def test_nothing_waits_longer_than_a_batch_to_be_sent(inserted):
 def test_an_interrupt_holds_the_arm_and_stops_the_program():
     async def story():
         async with bench() as cell:
-            task = asyncio.create_task(cell.insert())
-            for _ in range(2000):
-                await asyncio.sleep(0.01)
-                if cell.service.received and cell.service.received[-1].type == "descending":
-                    break
-            await asyncio.sleep(0.3)
-            task.cancel()
-            state = await task
+            state = await _interrupted(cell)
             assert state.phase is Phase.FAILED
             assert "operator" in state.reason
             assert cell.cabinet.arm.at_rest
             assert not cell.cabinet.running
 
     undisturbed(story)
+
+
+def test_a_part_left_in_the_fingers_of_a_gripper_that_forgot_it_teaches_no_open_gel():
+    """A WSG-50 that is left reports no part any more, though its fingers are still on it."""
+
+    async def story():
+        async with bench(holding=False) as cell:
+            await _interrupted(cell)
+            cell.service.received.clear()
+            await cell.insert()
+            kinds = [message for message in cell.service.received if message.type in {"learn_open", "arm"}]
+            assert [getattr(message, "forget", None) for message in kinds[:3]] == [False, True, None]
+
+    undisturbed(story)
+
+
+async def _interrupted(cell):
+    """An insertion that a person breaks off in its descent."""
+    task = asyncio.create_task(cell.insert())
+    for _ in range(2000):
+        await asyncio.sleep(0.01)
+        if cell.service.received and cell.service.received[-1].type == "descending":
+            break
+    await asyncio.sleep(0.3)
+    task.cancel()
+    return await task

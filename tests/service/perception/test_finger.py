@@ -101,6 +101,18 @@ def gripped() -> np.ndarray:
     return cell.look().gel.astype(np.float32)
 
 
+def test_a_gripped_gel_that_was_taken_for_an_open_one_looks_touched_once_that_is_forgotten() -> None:
+    renderer, held = drawn.renderer("left"), gripped()[0]
+    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    assert finger.learn_open(TactileFrame("left", 0, 0, renderer.raw(held, 0))) == ""
+    feels = []
+    for k, gel in enumerate([held, held, held, FREE], 1):
+        if k == 3:
+            finger.forget_open()
+        feels.append(finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, renderer.raw(gel, k))).feels)
+    assert feels == [False, False, True, False]
+
+
 def weight_alone() -> np.ndarray:
     """A light object in stiff gels, which bulge by less than an open gel may show."""
     down = np.stack([FREE, FREE])

@@ -32,6 +32,9 @@ class Still:
         self.learnt += [] if self.problem else [frame.seq]
         return self.problem
 
+    def forget_open(self) -> None:
+        self.learnt.clear()
+
     def slips(self) -> None:
         slip = replace(self.sees.slip, state="gross_slip", score=1.0)
         self.sees = replace(self.sees, slip=slip)

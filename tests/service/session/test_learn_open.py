@@ -58,3 +58,13 @@ def test_why_open_gels_could_not_be_learnt_is_told_and_they_may_be_asked_for_aga
     session.left.problem = ""
     learn(session, 5 * S)
     assert [answer.type for answer in shows(session, 0, 5 * S)] == ["open_learnt"]
+
+
+def test_what_turned_out_not_to_be_an_open_gel_is_forgotten_without_an_answer(session: InsertionSession) -> None:
+    learn(session, S)
+    assert [answer.type for answer in shows(session, 0, S)] == ["open_learnt"]
+    assert session.left.learnt
+    assert session.handle(wire.LearnOpen(insertion_id=ID, forget=True), S) == []
+    assert (session.left.learnt, session.right.learnt) == ([], [])
+    assert not session.wants_frames
+    assert session.on_tick(100 * S) == []
