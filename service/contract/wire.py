@@ -97,13 +97,10 @@ class ClientHello(_Message):
 
 
 class LearnOpen(_Message):
-    """The gripper is open and nothing touches the gels: learn their appearance. Sent before each grasp.
-
-    ``forget``: it turned out that the fingers were closed on the object; nothing was learnt, and no answer comes.
-    """
+    """The gripper is open and nothing touches the gels: learn their appearance. Sent before each grasp."""
 
     type: Literal["learn_open"] = "learn_open"
-    forget: bool = False
+    forget: bool = False  # after the grasp: the fingers had been on the object all the time; no answer comes
 
 
 class Arm(_Message):

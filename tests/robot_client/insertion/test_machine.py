@@ -61,19 +61,6 @@ def test_an_open_hand_shows_its_gels_before_it_closes():
     assert (state.phase, grasp.kind) == (Phase.GRASPING, "grasp")
 
 
-@pytest.mark.parametrize(
-    ("stood_mm", "held", "forgets"), [(50.2, False, True), (50.4, False, False), (50.0, True, False)]
-)
-def test_fingers_that_were_on_the_object_all_the_time_showed_no_open_gels(stood_mm, held, forgets):
-    begin = TO_ARMING[0].model_copy(update={"held": held})
-    learnt = [] if held else [service(wire.OpenLearnt(insertion_id=ID))]
-    width = Width(at_s=0.0, width_mm=stood_mm)
-    state, commands = run([begin, service(hello()), width, *learnt, Grasped(at_s=0.0, width_mm=50.0)])
-    asked = [c.message.forget for c in commands if isinstance(c, Send) and c.message.type == "learn_open"]
-    assert asked == [False] * (not held) + [True] * forgets
-    assert state.phase is Phase.APPROACHING
-
-
 def test_the_gripper_s_width_and_since_when_the_arm_stands_go_with_the_messages_that_need_them():
     still = Standstill(at_s=0.0, pose=APPROACH.at_height(28.0), still_s=0.15)
     _, commands = run([*TO_STOP, Width(at_s=0.0, width_mm=31.5), still])
