@@ -21,7 +21,7 @@ GIVEN_BACK = 1.08  # the gels turn the object back by this times the markers' mo
 BEYOND_SHOWN = 1.3  # this times the rest stays: markers follow an object only partly
 GOING_IN_DEG = 0.5  # at full depth, since the descent began. Free-standing objects show 0.15 deg at most
 STANDS_DEG = 0.7  # at full depth, including the turn left by earlier attempts
-TAKEN_BACK = 0.7  # share of the expected turn by which the tool is tilted: the likeliest turn, see decision 191
+TAKEN_BACK = 0.8  # share of the expected turn by which the tool is tilted: the likeliest turn, see decision 191
 LEAST_TILT_DEG = 0.15  # a smaller change of the tilt is not worth a move: the expectation errs by as much
 FEWEST_N = 4  # markers that determine a turn
 
