@@ -150,7 +150,7 @@ def _result(data: Row, of: Row) -> str:
         {before["seconds_a_box"][0]:.1f}, {times:.2f} times fewer, and touches {-shipped["harder_n"][0]:.1f} N more
         gently in the mean.{wanted} {claims_n} of {data["insertions"] * len(data["points"]):,} claims were untrue. Half
         of the boxes take no more than {shipped["seconds"]["median"]:.1f} s, the slowest 5 % more than
-        {shipped["seconds"]["95"]:.1f} s: those are boxes that were regrasped several times."""
+        {shipped["seconds"]["95"]:.1f} s: those are boxes that were regrasped."""
 
 
 def _within_the_lease(data: Row) -> str:
