@@ -22,6 +22,7 @@ BEYOND_SHOWN = 1.3  # this times the rest stays: markers follow an object only p
 GOING_IN_DEG = 0.5  # at full depth, since the descent began. Free-standing objects show 0.15 deg at most
 STANDS_DEG = 0.7  # at full depth, including the turn left by earlier attempts
 TAKEN_BACK = 0.8  # share of the expected turn by which the tool is tilted: the likeliest turn, see decision 191
+MOST_TILT_DEG = 1.5  # whatever the client allows: no larger turn has been read
 LEAST_TILT_DEG = 0.15  # a smaller change of the tilt is not worth a move: the expectation errs by as much
 FEWEST_N = 4  # markers that determine a turn
 
@@ -99,7 +100,10 @@ class LastingTurn:
     def straightening(self) -> float | None:
         """The tilt of the tool that holds the object upright, deg; None if it does so already, or is not known."""
         wanted_deg = -TAKEN_BACK * self.deg
-        if not abs(wanted_deg) <= self.most_tilt_deg or abs(wanted_deg - self.tilt_deg) < LEAST_TILT_DEG:
+        if (
+            not abs(wanted_deg) <= min(self.most_tilt_deg, MOST_TILT_DEG)
+            or abs(wanted_deg - self.tilt_deg) < LEAST_TILT_DEG
+        ):
             return None
         return wanted_deg
 

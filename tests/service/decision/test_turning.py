@@ -16,6 +16,7 @@ from service.decision.turning import (
     GOING_IN_DEG,
     HANGS_DEG,
     LEAST_TILT_DEG,
+    MOST_TILT_DEG,
     STANDS_DEG,
     TAKEN_BACK,
     TURNED_DEG,
@@ -163,7 +164,7 @@ def test_a_grasp_adds_up_its_turns_until_the_object_has_to_be_taken_afresh():
 def test_a_tool_that_may_tilt_far_enough_holds_the_object_upright(turn_deg, most_deg):
     turn = LastingTurn(deg=turn_deg, most_tilt_deg=most_deg)
     wanted_deg = turn.straightening()
-    if abs(turn_deg) * TAKEN_BACK > most_deg + 1e-9:
+    if abs(turn_deg) * TAKEN_BACK > min(most_deg, MOST_TILT_DEG) + 1e-9:
         assert wanted_deg is None
         assert bool(turn.askew(FREE)) == (abs(turn_deg) > TURNED_DEG)
     elif wanted_deg is None:
