@@ -22,7 +22,7 @@ BEYOND_SHOWN = 1.3  # this times the rest stays: markers follow an object only p
 GOING_IN_DEG = 0.5  # at full depth, since the descent began. Free-standing objects show 0.15 deg at most
 STANDS_DEG = 0.7  # at full depth, including the turn left by earlier attempts
 TAKEN_BACK = 0.8  # share of the expected turn by which the tool is tilted: the likeliest turn, see decision 191
-MOST_TILT_DEG = 1.5  # whatever the client allows: no larger turn has been read
+MOST_TILT_DEG = 1.5  # whatever the client allows: what has turned further is regrasped
 LEAST_TILT_DEG = 0.15  # a smaller change of the tilt is not worth a move: the expectation errs by as much
 FEWEST_N = 4  # markers that determine a turn
 
