@@ -4,6 +4,8 @@ greeting -> learning -> grasping -> approaching -> arming -> descending -> stopp
                                           ^                        |
                                       correcting <- retracting <- deciding        any phase -> failed
 
+Arming leads to correcting, and back, where the tool is tilted to straighten the object.
+
 The same machine drives the live cell, the dry run, the lock-step simulation and the replay of an episode log.
 A probe ends ``probed``, above the gap. Once it is over no event makes it order anything.
 """

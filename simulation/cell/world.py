@@ -44,6 +44,9 @@ class Mechanics(Protocol):
     def tilt_to(self, tilt_deg: float) -> CellState:
         """Tilt the hand about its own y, while the object touches nothing, and return the new state."""
 
+    def look(self) -> CellState:
+        """The state now, also after a move that found no equilibrium."""
+
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
@@ -193,7 +196,7 @@ class World:
     def _tilt(self, tilt_deg: float) -> None:
         """Tilt the hand with the arm; in contact it keeps its tilt, since the client straightens in the air only."""
         change_deg = tilt_deg - math.degrees(self._mechanics.tilt_rad)
-        if abs(change_deg) > LEAST_TILT_DEG and not (self.state and self.state.in_contact):
+        if abs(change_deg) > LEAST_TILT_DEG and not self._mechanics.look().in_contact:
             self.state = self._mechanics.tilt_to(tilt_deg)
 
     def _moved(self, where: tuple[float, float, float, float], passed_s: float) -> CellState | None:
