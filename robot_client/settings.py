@@ -42,6 +42,9 @@ class Task(Contract):
     approach_clearance_mm: Positive = 5.0
     approach_y_mm: float = 0.0
     gap_width_mm: float = Field(default=56.0, gt=0, le=1000)
+    tops_level_mm: float | None = Field(
+        default=None, ge=0, le=10
+    )  # how level the tops on both sides are; None: unknown
     expected_depth_mm: float = Field(default=25.0, gt=0, le=1000)
     depth_tolerance_mm: Positive = 1.0
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)  # deeper for an object pushed up in the hand: if free

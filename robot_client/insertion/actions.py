@@ -106,6 +106,7 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
         press_mm=plan.pace.press_mm,
         until_slip=plan.until_slip and plan.purpose == "probe",
         tilt_deg=target.tilt_deg,
+        tops_level_mm=plan.tops_level_mm if plan.signs_known else None,
     )
     deadline_s = at_s + plan.timeouts.arming_s
     state = replace(state, phase=Phase.ARMING, attempt=attempt, arms_again=False, armed=target, deadline_s=deadline_s)

@@ -36,6 +36,7 @@ from service.contract.wire_parts import (
     Limits,
     ModelEntry,
     NoDecisionReason,
+    OpenLearnt,
     Outcome,
     RefusalReason,
     Refused,
@@ -66,6 +67,7 @@ __all__ = [
     "Limits",
     "ModelEntry",
     "NoDecisionReason",
+    "OpenLearnt",
     "Outcome",
     "RefusalReason",
     "Refused",
@@ -110,7 +112,8 @@ class Arm(_Message):
     of the edge's friction; None if unknown. ``gripper_width_mm`` is the distance between the fingers; None if the
     gripper does not report it. ``grip_n`` is their force, ``shear_reach_mm`` how far the gel shears before it slides.
     ``press_mm`` is how far to press after the touch. ``until_slip``: press on until the gel slides, to measure it.
-    ``tilt_deg`` is the tool's tilt now, see `Straighten`.
+    ``tilt_deg`` is the tool's tilt now, see `Straighten`. ``tops_level_mm``: by how much the tops on both sides of the
+    gap may differ; None if unknown, or if nobody has checked the fingers' signs.
     """
 
     type: Literal["arm"] = "arm"
@@ -124,6 +127,7 @@ class Arm(_Message):
     press_mm: float = Field(default=PRESS_MM, ge=0.6, le=3.0)
     until_slip: bool = False
     tilt_deg: float = Field(default=0.0, ge=-10, le=10)
+    tops_level_mm: float | None = Field(default=None, ge=0, le=10)
 
 
 class Descending(_Message):
@@ -180,12 +184,6 @@ class ServiceHello(_Message):
     cameras: tuple[CameraEntry, ...]
     controller: ControllerName
     limits: Limits
-
-
-class OpenLearnt(_Message):
-    """The appearance of both open gels is learnt; the fingers may close."""
-
-    type: Literal["open_learnt"] = "open_learnt"
 
 
 class Watching(_Message):

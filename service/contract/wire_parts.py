@@ -212,6 +212,12 @@ class Enough(InsertionMessage):
     pressed_mm: float
 
 
+class OpenLearnt(InsertionMessage):
+    """The appearance of both open gels is learnt; the fingers may close."""
+
+    type: Literal["open_learnt"] = "open_learnt"
+
+
 class Armed(InsertionMessage):
     """The reference is this frame, and the descent may begin. Its ``frame_captured_ns`` starts the lease."""
 

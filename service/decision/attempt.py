@@ -13,9 +13,9 @@ from service.contract import FINGERS, Finger, ModelCard, TactileFrame, wire
 from service.contract.model_card import CONDITIONS
 from service.contract.wire import Arm, Armed, Correction, Descending, NoDecision, Outcome, Refused, Watching
 from service.decision.evidence import DecisionRun, Evidence, Refusal
+from service.decision.held_tilt import HeldTilt
 from service.decision.network_input import Descent
 from service.decision.seating import Push, push_of
-from service.decision.turning import LastingTurn
 from service.perception.observation import FingerWatch, Observation, PairObservation
 from service.perception.slip.onset import OnsetDetector
 
@@ -65,13 +65,13 @@ class Attempt:
     """State of one attempt; ``generation`` separates a re-armed attempt's late results from its current ones.
 
     ``fed``: the networks have received their last input. ``stop_ns``: capture of the frame that stopped the arm.
-    ``turn``: the turn of the object left by earlier attempts, and the tilt of the tool against it.
+    ``tilt``: of the object in the hand, and of the tool against it.
     """
 
     arm: Arm
     armed_ns: int
     generation: int
-    turn: LastingTurn = field(default_factory=LastingTurn)
+    tilt: HeldTilt = field(default_factory=HeldTilt)
     stage: Stage = Stage.ARMING
     reference: PairObservation | None = None
     armed: Armed | None = None
@@ -148,13 +148,12 @@ class Attempt:
         return self.armed
 
     def _upright(self, both: PairObservation) -> wire.Straighten | Refused | None:
-        """What has to come before the descent of an object that the attempts so far have turned, None if nothing."""
-        self.turn.lifted(both)
-        if (tilt_deg := self.turn.straightening()) is not None:
+        """What has to come before the descent of an object that is tilted in the hand, None if nothing."""
+        self.tilt.lifted(both)
+        if (tilt_deg := self.tilt.straightening()) is not None:
             self.stage = Stage.STRAIGHTENING
-            detail = f"the attempts have turned it by about {abs(self.turn.deg):.1f} deg"
-            return wire.Straighten(**self._named, tilt_deg=tilt_deg, detail=detail)
-        why = self.turn.askew(both)
+            return wire.Straighten(**self._named, tilt_deg=tilt_deg, detail=f"it is {self.tilt}")
+        why = self.tilt.askew(both)
         return self.refusal("turned_in_hand", why) if why else None
 
     @property

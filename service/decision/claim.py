@@ -12,9 +12,10 @@ import numpy as np
 
 from service.contract.wire import Cause, Doubt, DoubtReason
 from service.decision.attempt import Attempt
+from service.decision.held_tilt import HeldTilt, Touch
 from service.decision.seating import Push, seating_evidence, strongest_push
-from service.decision.turning import LastingTurn, turned_going_in
 from service.perception.observation import WEIGHED_SHARE, Observation, PairObservation
+from service.perception.turning import turned_going_in
 
 Doubts = tuple[Doubt, ...]
 DEPTH_TOLERANCE_MM = 1.0  # a descent may end this much short of the expected depth
@@ -34,14 +35,14 @@ class GraspRecord:
 
     ``width_mm`` is the gripper's at the first arming. ``blocked_pitch``: the strongest push on the gels in the blocked
     attempts, marker pitches. ``pressed_mm``: the longest press of a blocked attempt after its contact. ``late_mm``: the
-    travel in all of them that late pictures may have hidden, added in squares. ``turn``: the turn left by them.
+    travel in all of them that late pictures may have hidden, added in squares. ``tilt``: the object's in the hand.
     """
 
     width_mm: float | None = None
     blocked_pitch: float = 0.0
     pressed_mm: float = 0.0
     late_mm: float = 0.0
-    turn: LastingTurn = field(default_factory=LastingTurn)
+    tilt: HeldTilt = field(default_factory=HeldTilt)
 
     def blocked(self, attempt: Attempt) -> None:
         self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
@@ -49,7 +50,7 @@ class GraspRecord:
         late_mm = LATE_S * max(attempt.speed_mm_s or 0.0, went_mm_s(attempt))
         self.late_mm = math.hypot(self.late_mm, late_mm)
         followed = late_mm + slid_mm(attempt) <= SLID_MM and self.late_mm <= ALL_LATE_MM
-        self.turn.pressed(attempt.ring[-1] if attempt.ring and followed else None)
+        self.tilt.pressed(attempt.ring[-1] if attempt.ring and followed else None, touch_of(attempt))
 
 
 def went_mm_s(attempt: Attempt) -> float:
@@ -66,6 +67,14 @@ def pressed_mm(attempt: Attempt) -> float:
     if began is None or onset is None or stopped is None or not began < onset < stopped:
         return 0.0
     return went_mm_s(attempt) * (stopped - onset) * 1e-9
+
+
+def touch_of(attempt: Attempt) -> Touch | None:
+    """Where a blocked attempt touched; None where the tops are not known to be level, or no onset was seen."""
+    level_mm, pressed = attempt.arm.tops_level_mm, pressed_mm(attempt)
+    if level_mm is None or not 0.0 < pressed < math.inf:
+        return None
+    return Touch(attempt.depth_mm - pressed, 0.5 * attempt.arm.gap_width_mm, level_mm)
 
 
 def slid_mm(attempt: Attempt) -> float:
@@ -188,8 +197,12 @@ def _pushed(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
 
 
 def _moved_in_hand(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
-    if attempt.ring and (why := turned_going_in(attempt.ring[-1], attempt.reference, grasp.turn.left_deg)):
-        yield _doubt("moved_in_hand", why)
+    if attempt.ring:
+        turn_deg, why = turned_going_in(attempt.ring[-1], attempt.reference)
+        if not why and not grasp.tilt.upright(turn_deg):
+            why = f"it is {grasp.tilt}, and turned by {turn_deg:.1f} deg on the way down"
+        if why:
+            yield _doubt("moved_in_hand", why)
     if not grasp.pressed_mm <= PRESSED_MM:
         detail = f"an attempt went on for {grasp.pressed_mm:.1f} mm after its contact: the object was moved in the hand"
         yield _doubt("moved_in_hand", detail, grasp.pressed_mm, PRESSED_MM)

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from service.contract import ModelCard
 from service.contract.model_card import MARKER_PITCH, Lattice
 from service.decision.evidence import Refusal
-from service.decision.turning import both_deg, carried_rad
 from service.perception.markers.field import MarkerField, marker_array
 from service.perception.observation import PairObservation
 from service.perception.pressing import DepthSteps, lattice_weights, on_lattice
+from service.perception.turning import both_deg, carried_rad
 
 Floats = NDArray[np.float32]
 FELT, FELT_BY_N = 0.1, 10  # a press moves so many lattice points by this share of itself; a sag moves fewer

@@ -132,8 +132,8 @@ class InsertionSession:
         if message.attempt == 1:
             self.decider.grasp.width_mm = message.gripper_width_mm
         self._generation += 1
-        turn = self.decider.grasp.turn.held_at(message.tilt_deg, self.most_tilt_deg)
-        self.attempt = Attempt(message, now_ns, self._generation, turn)
+        tilt = self.decider.grasp.tilt.held_at(message.tilt_deg, self.most_tilt_deg)
+        self.attempt = Attempt(message, now_ns, self._generation, tilt)
         return [*self.decider.before_descending(self.attempt)]
 
     def _descending(self, message: wire.Descending, now_ns: int) -> Replies:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from simulation.scene.scene import APPROACH_MM
+from simulation.scene.scene import APPROACH_MM, TOPS_LEVEL_MM
 
 OPEN_MM, RETREAT_MM = 100.0, 40.0
 
@@ -36,6 +36,7 @@ def client_config(
             "object": Path(facts["object"]).stem,
             "approach_z_mm": round(facts["approach"]["z_mm"], 4),
             "gap_width_mm": round(facts["gap_width_mm"], 3),
+            "tops_level_mm": TOPS_LEVEL_MM,
             "expected_depth_mm": round(facts["expected_depth_mm"], 3),
             "creep_allowance_mm": facts["creep_allowance_mm"],
         },

@@ -11,6 +11,7 @@ from robot_client.insertion.state import Plan
 from robot_client.settings import Settings, load_settings
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, LockstepCell, Walk
+from simulation.scene.scene import TOPS_LEVEL_MM
 
 ABOVE_MM = 30.0  # start of a played client's arm, above its usual approach
 SETTLE_S = 0.1  # from the end of a ramp, or of the stop lag, until the client takes the arm as at rest
@@ -43,6 +44,7 @@ def plan_of(
         insertion_id="simulated",
         approach=approach,
         gap_width_mm=scene.blocks.gap_mm + unstated.told_gap_error_mm,
+        tops_level_mm=TOPS_LEVEL_MM,
         grasp_height_mm=scene.grasp.height_mm + unstated.told_height_error_mm,
         grip_n=scene.grasp.force_n,
         shear_reach_mm=reach_mm,

@@ -98,7 +98,6 @@ class LockstepCell:
 
     @property
     def unstated(self) -> Unstated:
-        """What the software does not know of the cell."""
         return self.misplaced.unstated
 
     @property

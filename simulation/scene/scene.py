@@ -16,6 +16,7 @@ from simulation.scene import shapes
 from simulation.scene.parts import Blocks, Camera, Effects, Figures, Gel, Grasp, HeldObject, Numerics, Part
 
 APPROACH_MM = 5.0  # start of a descent above the block tops
+TOPS_LEVEL_MM = 0.2  # as a client knows the blocks, which are level
 OF_NO_CELL: dict[str, Any] = {"training": True, "order": True, "paper": True, "camera": {"sensor": {"name"}}}
 """Keys of a scene that do not affect its cell."""
 

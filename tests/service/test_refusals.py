@@ -95,7 +95,7 @@ def test_a_refused_attempt_is_followed_by_the_next_one(tmp_path: Path) -> None:
     session = make_session(models(tmp_path, min_confidence=0.999), drawn.calibration())
     attempt(session)
     assert session.decider is not None
-    session.decider.grasp.turn.deg = 0.0  # nobody announced the descent, so that its turn would not be known
+    session.decider.grasp.tilt.unknown = ""  # nobody announced the descent, so that its turn would not be known
     arm = wire.Arm(insertion_id=ID, attempt=2, gap_width_mm=56.0, expected_depth_mm=25.0)
     assert session.handle(arm, 5 * 10**9) == []
     assert session.wants_frames

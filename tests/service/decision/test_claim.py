@@ -191,14 +191,14 @@ def test_a_way_is_that_of_the_leg_in_which_it_was_gone() -> None:
     for attempt in (replace(whole, speed_mm_s=0.1, stopped_ns=int(0.4e9)), replace(legs, speed_mm_s=16.1)):
         grasp = GraspRecord(50.0)
         grasp.blocked(attempt)
-        assert math.isnan(grasp.turn.deg)
+        assert math.isnan(grasp.tilt.deg)
 
 
 def test_an_object_that_slid_far_or_was_not_seen_has_turned_by_nobody_knows_how_much() -> None:
     for attempt in (blocked(0.5, 0.3), descent(stopped_ns=None), descent(pushes=[])):
         grasp = GraspRecord(50.0)
         grasp.blocked(attempt)
-        assert math.isnan(grasp.turn.deg)
+        assert math.isnan(grasp.tilt.deg)
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ def test_what_an_arm_turns_before_a_picture_shows_it_counts_to_what_slid(
 ) -> None:
     grasp = GraspRecord(50.0)
     grasp.blocked(replace(blocked(0.5, 2.0 - slid_mm, 240.0), speed_mm_s=speed_mm_s))
-    assert math.isfinite(grasp.turn.deg) == known
+    assert math.isfinite(grasp.tilt.deg) == known
 
 
 @pytest.mark.parametrize(("slower", "known_n"), [(1.0, 1), (1.2, 2), (1.4, 3), (2.0, 6)])
@@ -221,7 +221,7 @@ def test_what_late_pictures_may_hide_adds_up_over_the_attempts_with_a_grasp(slow
     attempt, grasp, known = replace(attempt, depth_mm=attempt.depth_mm / slower), GraspRecord(50.0), list[bool]()
     for _ in range(7):
         grasp.blocked(attempt)
-        known.append(math.isfinite(grasp.turn.deg))
+        known.append(math.isfinite(grasp.tilt.deg))
     assert known == [True] * known_n + [False] * (7 - known_n)
 
 

@@ -13,7 +13,7 @@ from service.contract.model_card import Expectations
 from service.decision.consistency import Consistency, one_sided
 from service.decision.controllers import Belief, Command, make_controller
 from service.decision.evidence import Density, Evidence, Refusal
-from service.decision.turning import hangs_turned, lasting_turn_deg, turned_going_in
+from service.perception.turning import hangs_turned, lasting_turn_deg, turned_going_in
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import models_of, stage
 from tests.kept import is_as_kept
@@ -21,8 +21,8 @@ from tests.service.decision.test_claim import blocked, descent, pair, reasons
 from tests.service.decision.test_consistency import BLIND, GOOD, REVERSED, correction
 from tests.service.decision.test_consistency import pair as turned_pair
 from tests.service.decision.test_controllers import certain
-from tests.service.decision.test_turning import FREE, hanging, last
 from tests.service.decision.toy_loop import LIMITS
+from tests.service.perception.test_turning import FREE, hanging, last
 from tests.service.tiny_models import CLASSES
 
 MODELS = Path(__file__).parents[3] / "models" / "pressing"
@@ -121,11 +121,9 @@ def test_turns_are_told_from_the_same_size_on() -> None:
     """In steps of 0.05 deg, of 0.02 deg where a turn is expected to stay."""
     turns_deg = np.arange(0.05, 1.2, 0.05)
     answers = {
-        "hangs": [bool(hangs_turned(hanging(turn), 0.0)) for turn in turns_deg],
-        "left": [bool(hangs_turned(hanging(0.0), turn)) for turn in turns_deg],
-        "went in": [bool(turned_going_in(last(math.radians(turn)), None, 0.0)) for turn in turns_deg],
-        "stands": [bool(turned_going_in(last(0.0), None, turn)) for turn in turns_deg],
-        "around": [hangs_turned(hanging(0.9, around), 0.0) for around in (0.0, 0.1, 0.2, 0.3, 0.5)],
+        "hangs": [bool(hangs_turned(hanging(turn))[1]) for turn in turns_deg],
+        "went in": [bool(turned_going_in(last(math.radians(turn)), None)[1]) for turn in turns_deg],
+        "around": [hangs_turned(hanging(0.9, around))[1] for around in (0.0, 0.1, 0.2, 0.3, 0.5)],
         "lasts": [
             lasting_turn_deg(last(turn, share * turn), FREE) for turn in (0.02, -0.05) for share in (0.1, 0.4, 0.9)
         ],
@@ -189,7 +187,7 @@ def test_a_simulated_insertion_is_answered_as_it_was(name: str) -> None:
                 answers.append([message.type, *(content[field] for field in NOTED[message.type])])
             if message.type in {"armed", "refused"} and insertion.session.decider:
                 grasp = insertion.session.decider.grasp
-                answers.append([grasp.turn.deg, grasp.blocked_pitch, grasp.pressed_mm])
+                answers.append([grasp.tilt.deg, grasp.blocked_pitch, grasp.pressed_mm])
         hear(messages)
 
     insertion._hear = listen  # type: ignore[method-assign]

@@ -89,7 +89,7 @@ def test_an_attempt_is_answered_once_it_stands_and_its_networks_have_answered() 
         one = decider()
         assert one.conclude(attempt, STOPPED_NS + 9999 * MS) is None
         assert (one.command, one.grasp.pressed_mm) == (None, 0.0)
-        assert math.isfinite(one.grasp.turn.deg), "an attempt without an answer has left nothing behind yet"
+        assert math.isfinite(one.grasp.tilt.deg), "an attempt without an answer has left nothing behind yet"
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import pytest
 
 from service.contract import wire
 from service.decision.attempt import Stage
+from service.decision.held_tilt import HeldTilt
 from service.decision.models import ModelSet, load_models
-from service.decision.turning import TAKEN_BACK
 from service.session.factory import make_session
 from service.session.state_machine import InsertionSession
 from tests.service import drawn
@@ -206,7 +206,8 @@ def blocked_and_turned(session: InsertionSession, deg: float) -> None:
     session.on_camera_fault("camera_lost", "left is gone")
     session.handle(stopped(), S)
     assert session.decider is not None
-    session.decider.grasp.turn.deg = deg
+    session.decider.grasp.tilt = HeldTilt()
+    session.decider.grasp.tilt.turned(deg)
 
 
 def test_a_client_that_may_tilt_its_tool_is_asked_to_and_arms_the_same_attempt_again(models: ModelSet) -> None:
@@ -216,7 +217,7 @@ def test_a_client_that_may_tilt_its_tool_is_asked_to_and_arms_the_same_attempt_a
     session.handle(arm(2), 2 * S)
     (asked,) = session.on_pair(drawn.pair(1, start_ns=2 * S), 2 * S)
     assert (asked.type, asked.attempt) == ("straighten", 2)
-    assert asked.tilt_deg == pytest.approx(-TAKEN_BACK)
+    assert asked.tilt_deg == pytest.approx(-1.0)
     assert not session.wants_frames, "the arm moves freely"
     assert session.on_pair(drawn.pair(2, start_ns=2 * S), 2 * S) == []
     assert session.on_tick(60 * S) == [], "and takes its time"
@@ -239,7 +240,7 @@ def test_a_tool_that_did_not_tilt_as_asked_is_asked_again_and_a_client_that_may_
     tilting = make_session(models, drawn.calibration())
     tilting.handle(wire.ClientHello(insertion_id=ID, client="test", most_tilt_deg=1.5), 0)
     blocked_and_turned(tilting, 1.0)
-    for number, (tilt_deg, kind) in enumerate(((0.0, "straighten"), (0.7, "straighten"), (-TAKEN_BACK, "armed")), 1):
+    for number, (tilt_deg, kind) in enumerate(((0.0, "straighten"), (0.7, "straighten"), (-1.0, "armed")), 1):
         tilting.handle(arm(2, tilt_deg=tilt_deg), 2 * S)
         (answer,) = tilting.on_pair(drawn.pair(number, start_ns=2 * S), 2 * S)
         assert answer.type == kind

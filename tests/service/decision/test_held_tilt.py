@@ -1,0 +1,208 @@
+"""The tilt of the object in the hand, from the turns that the gels show and the heights at which it touches."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.contract import wire
+from service.decision.claim import GraspRecord, doubts, touch_of
+from service.decision.held_tilt import (
+    CREEP_MM,
+    CREEP_SPREAD_MM,
+    LEAST_TILT_DEG,
+    MOST_TILT_DEG,
+    PICKED_DEG,
+    READ_DEG,
+    READ_SHARE,
+    SURE,
+    TOUCH_MM,
+    UPRIGHT_DEG,
+    HeldTilt,
+    Touch,
+)
+from tests.service.decision.test_claim import descent
+from tests.service.perception.test_turning import FREE, hanging, last, pressed
+
+LEVER_MM, LEVEL_MM = 40.0, 0.2
+TURNS = st.floats(-1.5, 1.5)
+SIDES = st.sampled_from([-1.0, 1.0])
+
+
+def turned(turn_deg: float, **state: float) -> HeldTilt:
+    """A grasp after one attempt of which the gels showed that turn."""
+    tilt = HeldTilt(**state)  # type: ignore[arg-type]
+    tilt.turned(turn_deg)
+    return tilt
+
+
+def touch(tilt: HeldTilt, side: float, true_deg: float, *, up_mm: float = 6.0, level_mm: float = LEVEL_MM) -> None:
+    """An attempt touches on that side, the object tilted by ``true_deg`` and the tool by what ``tilt`` knows."""
+    depth_mm = up_mm + side * LEVER_MM * math.radians(true_deg + tilt.tilt_deg)
+    tilt.pressed(last(math.radians(side)), Touch(depth_mm, LEVER_MM, level_mm))
+
+
+@given(TURNS, TURNS, SIDES, st.floats(-20.0, 20.0))
+def test_an_object_that_touched_on_both_sides_has_the_tilt_that_both_heights_show(true_deg, tool_deg, side, up_mm):
+    tilt = HeldTilt(tilt_deg=tool_deg)
+    for which in (side, -side):
+        touch(tilt, which, true_deg, up_mm=up_mm)
+    known_to_deg = math.degrees(math.hypot(TOUCH_MM, TOUCH_MM, LEVEL_MM) / (2.0 * LEVER_MM))
+    shrunk = PICKED_DEG**2 / (PICKED_DEG**2 + known_to_deg**2)
+    assert tilt.deg == pytest.approx(shrunk * true_deg, abs=0.01)
+    assert tilt.sd_deg < 1.1 * known_to_deg
+
+
+@given(TURNS, SIDES, st.integers(1, 5))
+def test_one_side_alone_tells_nothing_of_the_tilt(true_deg, side, touches_n):
+    tilt = HeldTilt()
+    for _ in range(touches_n):
+        touch(tilt, side, true_deg)
+    assert tilt.deg == pytest.approx(0.0, abs=0.02)
+    assert tilt.sd_deg == pytest.approx(PICKED_DEG, abs=0.01)
+
+
+def test_touches_say_what_they_can_and_no_more():
+    """As many grasps as it takes: the error is as large as is said, whatever the sequence of sides."""
+    rng, errors = np.random.default_rng(0), []
+    for _ in range(2000):
+        tilt, true_deg, up_mm = HeldTilt(), PICKED_DEG * rng.normal(), 6.0
+        level_mm = 0.5 * LEVEL_MM * rng.normal()
+        for side in rng.choice([-1.0, 1.0], 4):
+            seen_mm = up_mm + side * level_mm + TOUCH_MM * rng.normal()
+            touch(tilt, side, true_deg, up_mm=seen_mm)
+            turn_deg = 0.5 * rng.normal()
+            true_deg += turn_deg + math.hypot(READ_DEG, READ_SHARE * turn_deg) * rng.normal()
+            up_mm += CREEP_MM + CREEP_SPREAD_MM * rng.normal()
+            tilt.turned(turn_deg)
+        errors.append((tilt.deg - true_deg) / tilt.sd_deg)
+    assert np.mean(errors) == pytest.approx(0.0, abs=0.08)
+    assert np.std(errors) == pytest.approx(1.0, abs=0.05)
+
+
+@given(st.lists(TURNS, min_size=1, max_size=8))
+def test_without_level_tops_the_turns_add_up_and_nothing_grows_surer(turns_deg):
+    tilt, before_deg = HeldTilt(), PICKED_DEG
+    for turn_deg in turns_deg:
+        tilt.pressed(last(math.radians(1.0)), None)
+        tilt.turned(turn_deg)
+        assert tilt.sd_deg > before_deg
+        before_deg = tilt.sd_deg
+    assert tilt.deg == pytest.approx(sum(turns_deg), abs=1e-9)
+
+
+@given(TURNS, TURNS, SIDES)
+def test_a_mirrored_cell_has_the_mirrored_tilt(true_deg, turn_deg, side):
+    one, other = HeldTilt(), HeldTilt()
+    for sign, tilt in ((1.0, one), (-1.0, other)):
+        touch(tilt, sign * side, sign * true_deg)
+        tilt.turned(sign * turn_deg)
+        touch(tilt, -sign * side, sign * (true_deg + turn_deg))
+    assert one.deg == pytest.approx(-other.deg, abs=1e-9)
+    assert one.sd_deg == pytest.approx(other.sd_deg)
+
+
+def test_tops_that_are_hardly_level_tell_hardly_anything():
+    known = []
+    for level_mm in (0.0, 1.0, 10.0):
+        tilt = HeldTilt()
+        for side in (1.0, -1.0):
+            touch(tilt, side, 1.0, level_mm=level_mm)
+        known.append(tilt.deg)
+    assert known == sorted(known, reverse=True)
+    assert known[-1] < 0.02
+
+
+def test_a_height_that_contradicts_all_that_is_known_has_the_object_taken_afresh():
+    tilt = HeldTilt(most_tilt_deg=1.5)
+    touch(tilt, 1.0, 0.0)
+    touch(tilt, -1.0, 0.0, up_mm=9.0)
+    assert "3.0 mm from where its tilt has it touch" in tilt.askew(FREE)
+    assert math.isnan(tilt.deg)
+    assert tilt.straightening() is None
+
+
+def test_a_press_that_hardly_turns_the_object_does_not_show_its_side():
+    tilt = HeldTilt()
+    for turn_deg in (0.09, -0.09, math.nan):
+        tilt.pressed(last(math.radians(turn_deg)), Touch(6.0 + turn_deg, LEVER_MM, LEVEL_MM))
+    assert (tilt.deg, tilt.sd_deg, tilt.unknown) == (0.0, PICKED_DEG, "")
+
+
+def test_of_an_attempt_that_was_not_seen_nobody_knows_what_it_left():
+    tilt = HeldTilt(most_tilt_deg=2.0)
+    tilt.pressed(None)
+    tilt.lifted(FREE)
+    assert "do not show" in tilt.askew(FREE)
+    assert tilt.straightening() is None
+    assert "do not show" in turned(math.nan).askew(FREE)
+
+
+@given(st.floats(-0.4, 0.4), st.floats(-0.8, 0.8))
+def test_what_attempts_have_left_adds_to_what_the_weight_turns(hangs_deg, turn_deg):
+    tilt = turned(turn_deg)
+    room_deg = UPRIGHT_DEG - SURE * tilt.sd_deg
+    reason, far_deg = tilt.askew(hanging(hangs_deg)), max(abs(turn_deg), abs(turn_deg + hangs_deg))
+    assert bool(reason) == (far_deg > room_deg) or abs(far_deg - room_deg) < 0.02
+    grasp, attempt = GraspRecord(50.0, tilt=tilt), descent()
+    attempt.ring.append(last(math.radians(hangs_deg)))
+    why = [doubt.detail for doubt in doubts(attempt, grasp) if doubt.reason == "moved_in_hand"]
+    assert bool(why) == (abs(turn_deg + hangs_deg) > room_deg)
+
+
+def test_a_grasp_adds_up_its_turns_until_the_object_has_to_be_taken_afresh():
+    grasp = GraspRecord(50.0)
+    grasp.blocked(pressed(0.1, 0.05))
+    grasp.tilt.lifted(FREE)
+    assert "tilted in the hand by about" in grasp.tilt.askew(FREE)
+    before_deg = grasp.tilt.deg
+    grasp.tilt.lifted(last(0.0, 0.005))  # another pair of the same object in the air says nothing new
+    assert grasp.tilt.deg == before_deg
+    grasp.blocked(pressed(-0.1, -0.05))
+    grasp.tilt.lifted(FREE)
+    assert grasp.tilt.deg == pytest.approx(0.0, abs=1e-3)
+
+
+def test_turns_that_cancel_leave_their_errors_behind():
+    tilt = HeldTilt()
+    for _ in range(4):
+        tilt.turned(1.0)
+        tilt.turned(-1.0)
+    assert tilt.deg == pytest.approx(0.0)
+    assert tilt.askew(FREE)
+
+
+@given(st.floats(-4.0, 4.0), st.floats(0.0, 2.0))
+def test_a_tool_that_may_tilt_far_enough_holds_the_object_upright(turn_deg, most_deg):
+    tilt = turned(turn_deg, most_tilt_deg=most_deg)
+    wanted_deg, sure_deg = tilt.straightening(), UPRIGHT_DEG - SURE * tilt.sd_deg
+    if abs(turn_deg) > min(most_deg, MOST_TILT_DEG) + 1e-9:
+        assert wanted_deg is None
+        assert bool(tilt.askew(FREE)) == (abs(turn_deg) > sure_deg)
+    elif wanted_deg is None:
+        assert abs(turn_deg) <= LEAST_TILT_DEG
+    else:
+        assert wanted_deg * turn_deg < 0.0, "the tool tilts against the turn"
+        tilt.tilt_deg = wanted_deg
+        assert tilt.straightening() is None, "once is enough"
+        assert not tilt.askew(FREE)
+        assert tilt.left_deg == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_tool_tilted_against_the_turn_is_tilted_back_with_it():
+    assert turned(0.1, tilt_deg=-0.7, most_tilt_deg=1.5).straightening() == pytest.approx(-0.1)
+    assert "about 0.0 +- 0.5 deg" in turned(0.0, tilt_deg=-0.7).askew(FREE)  # a client that may not tilt, and yet has
+
+
+def test_a_touch_is_where_the_object_began_to_move_and_needs_tops_that_are_known_to_be_level():
+    attempt = pressed(0.02, 0.01)
+    assert attempt.stopped_ns is not None
+    assert touch_of(attempt) is None
+    level = wire.Arm(**{**attempt.arm.model_dump(exclude={"type"}), "tops_level_mm": 0.3})
+    assert touch_of(replace(attempt, arm=level, onset_ns=None)) is None
+    onset_ns = attempt.stopped_ns - (attempt.stopped_ns - (attempt.descending_ns or 0)) // 5
+    touched = touch_of(replace(attempt, arm=level, onset_ns=onset_ns))
+    assert touched == pytest.approx((0.8 * attempt.depth_mm, 0.5 * level.gap_width_mm, 0.3), rel=1e-3)
