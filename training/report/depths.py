@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -23,6 +24,7 @@ from training.fit.checkpoint import Checkpoint
 from training.fit.train import Trainer
 from training.metrics.figures import Predictions, figures, probabilities
 from training.networks.pressing import DECISION_STEPS, STEP_MM, STEPS, PressingNetwork
+from training.report.cameras import by_camera, camera_table
 from training.report.pressed_oracle import oracle_rows
 
 Rows = dict[str, dict[str, float]]
@@ -47,9 +49,10 @@ def write_depths(run: Path, out: Path, source: Source | None = None) -> Path:
     if not isinstance(samples, Pressed):
         raise ContractError(f"{run} holds a {config.network.kind} network, expected one that reads steps of depth")
     trainer = Trainer(config, samples, checkpoint.build(), torch.ones(len(CLASSES)), torch.zeros(2, 3))
-    data = {"depths": by_depth(trainer, checkpoint), "sure": by_sureness(trainer, checkpoint)}
+    data: dict[str, Any] = {"depths": by_depth(trainer, checkpoint), "sure": by_sureness(trainer, checkpoint)}
     data["reach"] = by_reach(trainer, checkpoint)
     limit = oracle_rows(source or open_source(config.data.path), run / "oracle")
+    data["cameras"] = by_camera(trainer, checkpoint.scales, source or open_source(config.data.path))
     data["limit"] = {f"{split}, true motion": limit[f"{split}/all"] for split in HELD if f"{split}/all" in limit}
     if checkpoint.pressing and checkpoint.pressing.strangeness_limit:
         data["strange"] = faulty_inputs(trainer, checkpoint.pressing.strangeness_limit)
@@ -166,7 +169,7 @@ def auroc(low: NDArray[np.float32], high: NDArray[np.float32]) -> float:
     return float((below + upto).mean() / (2 * len(low)))
 
 
-def _parts(checkpoint: Checkpoint, measured_sha256: str, data: dict[str, Rows]) -> Iterator[str | Table]:
+def _parts(checkpoint: Checkpoint, measured_sha256: str, data: dict[str, Any]) -> Iterator[str | Table]:
     depth = f"{DECISION_STEPS * STEP_MM:.1f} mm"
     right = [(split, data["depths"].get(f"{split}, {depth}")) for split in HELD]
     shares = " and ".join(f"{number(row['accuracy'], '.1%')} on `{split}`" for split, row in right if row)
@@ -197,6 +200,15 @@ def _parts(checkpoint: Checkpoint, measured_sha256: str, data: dict[str, Rows]) 
         move an object alike.
         """
     yield _table(data["limit"])
+    if data["cameras"]:
+        yield """
+            ## By camera and speed
+
+            Presses of `test`. The first rows read the same presses at each rate, those slower than 24 mm/s. The last
+            rows are slow and quick presses in other cells, read at 60 frames/s. The interval of a difference is that
+            of pairs.
+            """
+        yield camera_table(data["cameras"])
     if data["reach"]:
         yield "## By shear reach, held-out decisions"
         yield _table(data["reach"])
