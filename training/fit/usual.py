@@ -15,11 +15,13 @@ from training.networks.decider import Decider
 from training.networks.pressing import PressingNetwork
 from training.networks.strangeness import LEAST, numbers
 
-MOST_USUAL = 5000
-FALSE_STOPS = 0.01
+MOST_USUAL = 20_000
+FALSE_STOPS = 0.003
 """Share of usual decisions that the strangeness limit refuses."""
-FAULTS, FITTED, BATCH, RATE = 6, 2000, 128, 3e-3
+FAULTS, FITTED, BATCH, RATE = 6, 12_000, 256, 3e-3
 """Faults of each press, and the fit's steps, batch and learning rate."""
+BLUR = 0.1
+"""Noise on the numbers in the fit, in standard deviations: gels elsewhere move a little differently."""
 
 
 def learn_usual(network: Decider, trials: Pressed, steps: Callable[..., Tensor]) -> Pressing:
@@ -46,18 +48,23 @@ def learn_odds(network: PressingNetwork, fields: Tensor) -> None:
         drawn = [with_faults(fields[:, :, :2], rng) for _ in range(FAULTS)]
         faulty = torch.cat([_numbers(network, torch.cat([moved, fields[:, :, 2:]], 2)) for moved in drawn])
     weights = list(strange.odds.requires_grad_(True).parameters())
-    optimiser = torch.optim.Adam(weights, RATE)
+    optimiser = torch.optim.AdamW(weights, RATE)
     falling = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, FITTED)
     with torch.enable_grad():
         for _ in range(FITTED):
-            rows = [torch.randint(len(each), (BATCH,), generator=rng) for each in (usual, faulty)]
-            odds, fault_odds = strange.log_odds(usual[rows[0]]), strange.log_odds(faulty[rows[1]])
+            odds, fault_odds = (strange.log_odds(_some(each, strange.spread, rng)) for each in (usual, faulty))
             loss = functional.softplus(odds).mean() + functional.softplus(-fault_odds).mean()
             optimiser.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             optimiser.step()
             falling.step()
     strange.odds.requires_grad_(False)
+
+
+def _some(numbers_of: Tensor, spread: Tensor, rng: torch.Generator) -> Tensor:
+    """A batch of rows, blurred."""
+    chosen = numbers_of[torch.randint(len(numbers_of), (BATCH,), generator=rng)]
+    return chosen + BLUR * spread * torch.randn(chosen.shape, generator=rng)
 
 
 def _numbers(network: PressingNetwork, fields: Tensor) -> Tensor:
