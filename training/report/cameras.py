@@ -41,14 +41,14 @@ def by_camera(trainer: Trainer, scales: Scales, source: Source) -> list[Row]:
 
 def _test_presses(source: Source) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Numbers and speeds of the first test presses."""
-    found: list[tuple[int, float]] = []
+    presses: list[tuple[int, float]] = []
     for index in track(range(len(source)), "reading speeds", transient=True):
         trial = source.trial(index)
         if trial.split == "test":
-            found.append((index, float(getattr(trial, "speed_mm_s", 10.0))))
-        if len(found) == MOST:
+            presses.append((index, float(getattr(trial, "speed_mm_s", 10.0))))
+        if len(presses) == MOST:
             break
-    return np.array([index for index, _ in found], np.int64), np.array([speed for _, speed in found])
+    return np.array([index for index, _ in presses], np.int64), np.array([speed for _, speed in presses])
 
 
 def _read(trainer: Trainer, scales: Scales, source: Source, chosen: NDArray[np.int64], fps: float) -> Predictions:

@@ -200,6 +200,11 @@ def _parts(checkpoint: Checkpoint, measured_sha256: str, data: dict[str, Any]) -
         move an object alike.
         """
     yield _table(data["limit"])
+    yield from _held_out_parts(data)
+
+
+def _held_out_parts(data: dict[str, Any]) -> Iterator[str | Table]:
+    """By camera, by reach, and with faults; each where the data allow it."""
     if data["cameras"]:
         yield """
             ## By camera and speed
@@ -212,7 +217,7 @@ def _parts(checkpoint: Checkpoint, measured_sha256: str, data: dict[str, Any]) -
     if data["reach"]:
         yield "## By shear reach, held-out decisions"
         yield _table(data["reach"])
-    if data.get("strange"):
+    if "strange" in data:
         yield """
             ## Detection of faulty inputs
 

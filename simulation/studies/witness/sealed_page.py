@@ -77,11 +77,12 @@ def _tests_before(rows: list[Row]) -> tuple[str | Table, ...]:
         """
         ## Earlier tests
 
-        The same networks ran in earlier sealed tests, each in other worlds. What one test showed led to the change of
-        the software before the next:
+        Each was played in other worlds, in the software and with the networks of its time. What one test showed led to
+        the change before the next:
         """,
         table(
             rows,
+            ("networks", "networks"),
             ("counter", "counter", "d"),
             ("change", "new"),
             ("inserted", "inserted"),

@@ -173,7 +173,7 @@ def test_a_gap_that_nobody_trained_for_is_refused_before_the_arm_goes_down(made:
 
 
 def test_a_strange_field_is_refused_with_its_strangeness(made: Callable[..., ModelSet]) -> None:
-    _, replies = first_attempt(made(strangeness_limit=1e-6))
+    _, replies = first_attempt(made(strangeness_limit=1e-30))
     refused = next(message for message in replies if isinstance(message, wire.NoDecision))
     assert "strangeness" in refused.detail
 
@@ -203,5 +203,5 @@ def test_networks_beside_are_given_the_very_steps_that_those_were_that_decided(m
     assert np.array_equal(again.probabilities, mine.probabilities)
     assert attempt.run.frames_n == len(attempt.steps)
     with pytest.raises(Refusal) as refused:
-        decide_again(made(strangeness_limit=1e-6), attempt)
+        decide_again(made(strangeness_limit=1e-30), attempt)
     assert refused.value.reason == "out_of_distribution"
