@@ -11,9 +11,10 @@ from robot_client.insertion.state import Plan
 from robot_client.settings import Settings, load_settings
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, LockstepCell, Walk
-from simulation.scene.scene import TOPS_LEVEL_MM
+from simulation.scene.scene import TOPS_LEVEL_MM, Scene
 
 ABOVE_MM = 30.0  # start of a played client's arm, above its usual approach
+PROBING_MM_S = 10.0  # a quicker arm slows down to this, or it would push light blocks aside before it stands
 SETTLE_S = 0.1  # from the end of a ramp, or of the stop lag, until the client takes the arm as at rest
 
 
@@ -26,9 +27,14 @@ def longest_travel_mm(speed_mm_s: float) -> float:
     return max(SLOW_MM, FAST_S * speed_mm_s)
 
 
-def client_of(job: Job) -> Settings | None:
-    """The client's settings, None where the scene defines how the arm moves. Raises SettingsError."""
-    return load_settings(None, dict(job.client)) if job.client else None
+def staged(job: Job) -> tuple[Scene, Settings | None]:
+    """The scene, at the speed at which the client probes; and the client's settings if the job has any.
+
+    Without settings, the scene defines how the arm moves. Raises SettingsError.
+    """
+    scene, client = job.build_scene(), load_settings(None, dict(job.client)) if job.client else None
+    speed_mm_s = client.ramps.descend.speed_mm_s if client else min(scene.speed_mm_s, PROBING_MM_S)
+    return scene.varied({"speed_mm_s": speed_mm_s}), client
 
 
 def plan_of(

@@ -40,7 +40,7 @@ from service.decision.attempt import WorkResult
 from service.decision.evidence import Evidence
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
-from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, client_of, plan_of, seconds_of_frames, trip_s, walk_of
+from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, plan_of, seconds_of_frames, staged, trip_s, walk_of
 from simulation.closed_loop.job import Job, Outcome, Perception, Who
 from simulation.closed_loop.lockstep import GraspEndError, LockstepCell
 from simulation.closed_loop.session import session_of
@@ -262,9 +262,7 @@ class Insertion:
 
 def stage(job: Job, models: ModelSet) -> Insertion:
     """The insertion of a job, ready to run: blocks free, the object in the hand."""
-    scene, client = job.build_scene(), client_of(job)
-    if client is not None:
-        scene = scene.varied({"speed_mm_s": client.ramps.descend.speed_mm_s})
+    scene, client = staged(job)
     perception: Perception = "fields" if job.controller == "oracle" else job.perception
     build = partial(LockstepCell.build, make=job.mechanics(), cameras=job.cameras())
     unstated, draws = Unstated.model_validate(job.unstated), perception == "pictures"
