@@ -218,7 +218,7 @@ def _early(kept: Row, shipped: Row) -> str:
     trials, and avoids regrasps ([the depth of a decision](decisions/0079-the-depth-of-a-decision.md)). Stopping as soon
     as a direction has a probability of 0.6 would save {number(least["saved"], ".0%")} of {reads_mm:g} mm, with
     {_share(least["right"])} of held-out directions right instead of
-    {_share(kept["depths"][f"test, {reads_mm:.1f} mm"])}. It saves no more, so it was not built.
+    {_share(kept["depths"][f"test, {reads_mm:.1f} mm"])}. That is hardly more, so it was not built.
     """
 
 
