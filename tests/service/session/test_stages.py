@@ -213,11 +213,11 @@ def blocked_and_turned(session: InsertionSession, deg: float) -> None:
 def test_a_client_that_may_tilt_its_tool_is_asked_to_and_arms_the_same_attempt_again(models: ModelSet) -> None:
     session = make_session(models, drawn.calibration())
     session.handle(wire.ClientHello(insertion_id=ID, client="test", most_tilt_deg=1.5), 0)
-    blocked_and_turned(session, 1.0)
+    blocked_and_turned(session, 0.7)
     session.handle(arm(2), 2 * S)
     (asked,) = session.on_pair(drawn.pair(1, start_ns=2 * S), 2 * S)
     assert (asked.type, asked.attempt) == ("straighten", 2)
-    assert asked.tilt_deg == pytest.approx(-1.0)
+    assert asked.tilt_deg == pytest.approx(-0.7)
     assert not session.wants_frames, "the arm moves freely"
     assert session.on_pair(drawn.pair(2, start_ns=2 * S), 2 * S) == []
     assert session.on_tick(60 * S) == [], "and takes its time"
@@ -239,8 +239,8 @@ def test_a_tool_that_did_not_tilt_as_asked_is_asked_again_and_a_client_that_may_
     assert (refused.type, refused.reason) == ("refused", "turned_in_hand")
     tilting = make_session(models, drawn.calibration())
     tilting.handle(wire.ClientHello(insertion_id=ID, client="test", most_tilt_deg=1.5), 0)
-    blocked_and_turned(tilting, 1.0)
-    for number, (tilt_deg, kind) in enumerate(((0.0, "straighten"), (0.7, "straighten"), (-1.0, "armed")), 1):
+    blocked_and_turned(tilting, 0.7)
+    for number, (tilt_deg, kind) in enumerate(((0.0, "straighten"), (0.5, "straighten"), (-0.7, "armed")), 1):
         tilting.handle(arm(2, tilt_deg=tilt_deg), 2 * S)
         (answer,) = tilting.on_pair(drawn.pair(number, start_ns=2 * S), 2 * S)
         assert answer.type == kind
