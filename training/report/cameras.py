@@ -15,6 +15,7 @@ from training.data.labels import class_of
 from training.data.pressed import Pressed, table_of
 from training.fit.train import Trainer
 from training.metrics.figures import Predictions, Scales, figures
+from training.report.transfer import points
 
 Row = dict[str, Any]
 RATES_FPS = (30.0, 60.0, 90.0)
@@ -73,13 +74,9 @@ def camera_table(rows: list[Row]) -> Table:
         ("read", "read"),
         ("decisions", "trials", ".0f"),
         ("direction", lambda row: wilson(row["accuracy"] * row["trials"], int(row["trials"])), ".1%"),
-        ("against 30 frames/s", lambda row: _points(row["gained"])),
+        ("against 30 frames/s", lambda row: points(row["gained"]) if row["gained"] else "-"),
         ("MAE x mm", "mae_x_mm", ".2f"),
         ("MAE yaw deg", "mae_theta_deg", ".2f"),
         ("90 % coverage x", "coverage90_x", ".1%"),
         ("90 % coverage yaw", "coverage90_theta", ".1%"),
     )
-
-
-def _points(gained: list[float] | None) -> str:
-    return "-" if gained is None else f"{Estimate(*(100.0 * value for value in gained)):+.1f} points"

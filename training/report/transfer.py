@@ -128,7 +128,7 @@ def _parts(data: Row) -> Iterator[str | Table]:
             ("CPU ms a press", "cpu_ms", ".0f"),
             ("CPU min of collecting", lambda row: row["presses"] * row["cpu_ms"] / 60e3, ".0f"),
             ("direction", "direction", ".1%"),
-            ("gained", lambda row: _points(row["gained"])),
+            ("gained", lambda row: points(row["gained"])),
             ("MAE x mm", "mae_x_mm", ".2f"),
             ("MAE yaw deg", "mae_theta_deg", ".2f"),
             ("90 % coverage x", "coverage90_x", ".0%"),
@@ -136,6 +136,7 @@ def _parts(data: Row) -> Iterator[str | Table]:
         )
 
 
-def _points(gained: Sequence[float]) -> str:
+def points(gained: Sequence[float]) -> str:
+    """A difference of shares with its interval, as points."""
     of = Estimate(*(100.0 * value for value in gained))
     return f"{of:+.1f} points"

@@ -1,0 +1,23 @@
+"""The speed at which a played arm probes."""
+
+from pathlib import Path
+
+import pytest
+
+from simulation.closed_loop.client import PROBING_MM_S
+from simulation.closed_loop.job import Job
+from simulation.closed_loop.play import models_of, stage
+from simulation.studies.pace.points import ramp
+
+MODELS = Path(__file__).parents[3] / "models" / "pressing"
+
+
+@pytest.mark.parametrize(
+    ("stated", "client", "probes"),
+    [(28.8, {}, PROBING_MM_S), (4.0, {}, 4.0), (28.8, {"ramps": {"descend": ramp(12.0, 100.0, 2000.0)}}, 12.0)],
+)
+def test_a_quick_arm_slows_down_a_slow_one_keeps_its_speed_and_a_client_has_its_own(stated, client, probes):
+    job = Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", {"speed_mm_s": stated}, client=client)
+    played = stage(job, models_of(MODELS))
+    assert played.state.plan.ramps.descend.speed_mm_s == probes
+    assert played.cell.speed_mm_s == probes
