@@ -18,7 +18,9 @@ class Estimate(NamedTuple):
     high: float
 
     def __format__(self, spec: str) -> str:
-        """Figure and interval in one format: ``f"{estimate:.1%}"`` is ``86.0 % (77.9 .. 91.5)``."""
+        """Figure and interval in one format: ``f"{estimate:.1%}"`` is ``86.0 % (77.9 .. 91.5)``; ``-`` for NaN."""
+        if math.isnan(self.value):
+            return number(None)
         if not spec.endswith("%"):
             return f"{number(self.value, spec)} ({number(self.low, spec)} .. {number(self.high, spec)})"
         low, high = (number(end, spec).removesuffix(" %") for end in (self.low, self.high))

@@ -58,9 +58,9 @@ def table(rows: Sequence[Row]) -> list[Row]:
 
 
 def first_answers(rows: Sequence[Row]) -> Row:
-    """Directions, absolute errors and 90 % interval coverage of the first decisions; None without any."""
+    """Directions, absolute errors and 90 % interval coverage of the networks' first decisions; None without any."""
     right, off, covered = 0, [], []
-    firsts = first_decisions(rows)
+    firsts = [trial for trial in first_decisions(rows) if trial["decision"]["class_probabilities"]]
     for trial in firsts:
         (x, theta), decision = trial["error_before"], trial["decision"]
         estimate, classes = decision["estimate"], decision["class_probabilities"]

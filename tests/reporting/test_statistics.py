@@ -44,10 +44,11 @@ def test_wilson_covers_about_as_often_as_it_says(share):
     assert 0.93 <= stats.binom.pmf(range(count + 1), count, share) @ np.array(held) <= 0.98
 
 
-def test_nothing_has_the_widest_interval():
+def test_nothing_has_the_widest_interval_and_is_written_as_a_dash():
     value, *ends = wilson(0, 0)
     assert math.isnan(value)
     assert ends == [0.0, 1.0]
+    assert f"{wilson(0, 0):.0%}" == "-"
 
 
 @given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=50))

@@ -96,7 +96,7 @@ def _job(seed: int, index: int, start: Start, cell: str) -> dict[str, Any]:
 
 
 def report_of(played: Mapping[str, Sequence[Row]], begun: Sequence[Opened], setup: Row) -> Row:
-    """The page's data: the figures of each cell and family, and every failure in the elements.
+    """The page's data: the figures of each cell, in the elements also by family, and every failure there.
 
     ``played``: the rows of WITNESS of all of ``begun``, and those of others, maybe only of its first ones.
     """
@@ -119,7 +119,7 @@ def table_of(played: Mapping[str, Sequence[Row]], begun: Sequence[Opened]) -> li
 
 
 def _figures(cell: str, rows: Sequence[Row], families: Sequence[str]) -> Iterator[Row]:
-    for family in ("all", *FAMILIES):
+    for family in ("all", *(FAMILIES if cell == WITNESS else ())):
         mine = [row for row, of in zip(rows, families, strict=False) if family in ("all", of)]
         yield {"cell": cell, "family": family, **ends(mine), **first_answers(mine),
                "worst_force_n": max(row["course"]["force_n"] for row in mine)}  # fmt: skip

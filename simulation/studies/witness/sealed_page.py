@@ -11,7 +11,7 @@ from simulation.studies.drawn_worlds import COLUMNS
 from simulation.studies.witness.sealed import ALIKE, WITNESS
 
 Row = dict[str, Any]
-NUMBER = r"-?\d+\.\d"
+NUMBER = r"-?\d+\.\d+"
 LEAST_INSERTED, MOST_TRIALS, LEAST_COVERED = 0.95, 3.2, 0.80
 
 
@@ -103,7 +103,7 @@ def _baselines(data: Row) -> str:
 _OTHERS = {
     "bristle": "the release in our bristle tier",
     "layer": "the release in our layer tier",
-    "older": "in the elements, the [networks before depth](decisions/0075-depth-instead-of-frames.md)",
+    "older": "in the elements, the release before",
     "oracle": "in the elements, an oracle that moves by the true error",
 }
 _TITLES = {ALIKE: f"{WITNESS}, {ALIKE}", "older": f"{WITNESS}, release before", "oracle": f"{WITNESS}, oracle"}

@@ -85,6 +85,12 @@ def test_first_answers_are_judged_against_the_truth():
     assert (answers["covered_x"], answers["covered_theta"]) == (1.0, 0.0)
 
 
+def test_an_oracle_gives_no_answers_to_judge():
+    step = DECISION | {"class_probabilities": {}}
+    answers = benchmark.first_answers([ROW | {"trials": [{"error_before": [5.0, 8.0], "decision": step}]}])
+    assert (answers["direction_n"], answers["mae_x_mm"], answers["covered_x"]) == (0, None, None)
+
+
 def test_an_object_whose_file_is_gone_keeps_its_row(tmp_path):
     rows = benchmark.table([ROW, ROW | {"scene": str(tmp_path / "gone.toml")}])
     assert [row["object"] for row in rows] == ["rectangle", "gone"]
