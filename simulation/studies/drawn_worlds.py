@@ -95,22 +95,23 @@ def tasks(variants: Sequence[Variant], begun: Sequence[Start], seed: int, percep
 def report_of(
     rows: Sequence[Row], variants: Sequence[Variant], begun: Sequence[Start], setup: Mapping[str, Any]
 ) -> Row:
-    """The data behind the page, as plain data."""
+    """The data behind the page, as plain data; ``release``: all variants with the networks of the first, counted."""
     reach = np.array([start.reach_pitches for start in begun])
     by_variant = {variant.title: rows[place :: len(variants)] for place, variant in enumerate(variants)}
     first = next(iter(by_variant.values()))
+    ours = [variant.title for variant in variants if variant.models == variants[0].models]
     return {
         "simulated": True,
         "setup": dict(setup),
         "worlds": len({start.world.name for start in begun}),
         "objects": len({start.scene for start in begun}),
+        "release": ends([row for title in ours for row in by_variant[title]]),
         "variants": [{"variant": title, **_figures(mine)} for title, mine in by_variant.items()],
         "deciles": list(_deciles(first, reach)),
         "tiers": [
             {"tier": tier, **_figures([row for row in first if row["changes"]["gel.tier"] == tier])}
             for tier in sorted({row["changes"]["gel.tier"] for row in first})
         ],
-        "untrue": [_untrue(row) for row in first if row["claimed"] and not row["inserted"]],
     }
 
 
@@ -127,20 +128,15 @@ def _deciles(rows: Sequence[Row], reach: Any) -> Iterator[Row]:
             yield {"low": float(edges[decile]), "high": float(edges[decile + 1]), **_figures(mine)}
 
 
-def _untrue(row: Row) -> Row:
-    world = row["condition"].partition(":")[0]
-    return {"world": world, "object": Path(row["scene"]).stem, "attempts": row["attempts"], "error": row["final_error"]}
-
-
 def drawn_worlds_page(data: Row) -> str:
-    first = data["variants"][0]
-    wrong = wilson(first["claimed_wrongly"], first["insertions"])
-    done = wilson(first["inserted"], first["insertions"])
+    release = data["release"]
+    wrong = wilson(release["claimed_wrongly"], release["insertions"])
+    done = wilson(release["inserted"], release["insertions"])
     return page(
         f"""
         # Drawn cells, simulated
 
-        **{first["claimed_wrongly"]} of {first["insertions"]} insertions of the first variant ended in a false claim:
+        **{release["claimed_wrongly"]} of {release["insertions"]} insertions of the release ended in a false claim:
         {wrong:.2%}**, with the 95 % Wilson interval. {done:.1%} were inserted.
 
         ## How it was measured

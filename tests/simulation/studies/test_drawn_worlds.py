@@ -50,12 +50,13 @@ def row(name, *, inserted, claimed=True, estimate=2.0):
 
 def test_untrue_claims_come_first_and_deciles_hold_every_row(tmp_path):
     begun = [Start(WORLDS[0], "circle", 1.0, 1.0, 0.2 + 0.1 * number) for number in range(20)]
-    rows = [row("w0", inserted=number != 7) for number in range(20) for _ in range(2)]
-    data = drawn_worlds.report_of(rows, variants(tmp_path), begun, {})
-    assert [entry["claimed_wrongly"] for entry in data["variants"]] == [1, 1]
+    played = [*variants(tmp_path), Variant("before", tmp_path / "before", "belief", given_reach=False)]
+    rows = [row("w0", inserted=number != 7) for number in range(20) for _ in played]
+    data = drawn_worlds.report_of(rows, played, begun, {})
+    assert [entry["claimed_wrongly"] for entry in data["variants"]] == [1, 1, 1]
     assert sum(entry["insertions"] for entry in data["deciles"]) == 20
     assert [entry["claimed_wrongly"] for entry in data["deciles"]].count(1) == 1
     assert data["variants"][0]["covered_x"] == 1.0
     assert data["variants"][0]["covered_theta"] == 0.0
     text = drawn_worlds.drawn_worlds_page(data)
-    assert "**1 of 20 insertions of the first variant ended in a false claim" in " ".join(text.split())
+    assert "**2 of 40 insertions of the release ended in a false claim" in " ".join(text.split())
