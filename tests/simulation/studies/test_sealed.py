@@ -50,11 +50,12 @@ def test_the_page_begins_with_what_is_missed_and_lists_every_failure(release):
         for cell, first in ((sealed.WITNESS, begun), ("bristle", begun), ("oracle", begun[:15]))
     }
     rows = played[sealed.WITNESS]
-    rows[3] |= {"inserted": False, "shortfalls": ("it is tilted by 2.5 deg, below 2 counts",)}
+    rows[3] |= {"inserted": False, "shortfalls": ("it is tilted by 2.55 deg, below 2 counts",)}
     rows[4] |= {"inserted": False, "claimed": False, "reason": "service: contradictory"}
     data = sealed.report_of(played, begun, {"seal": "seal", "counter": 1, "count": 10})
     by_cell = {row["cell"]: row["insertions"] for row in data["figures"] if row["family"] == "all"}
     assert by_cell == {sealed.WITNESS: 30, sealed.ALIKE: 15, "bristle": 30, "oracle": 15}
+    assert {row["cell"] for row in data["figures"] if row["family"] != "all"} == {sealed.WITNESS}
     assert [row["reason"] for row in data["failed"]] == ["", "service: contradictory"]
     assert len(sealed.table_of(played, begun)) == 30 + 30 + 15
     text = foreign_world_page(data)
