@@ -31,7 +31,7 @@ class Options(PlayOptions):
     """Play the same starts in drawn worlds by every variant.
 
     Variants: the release with a measured shear reach and without one; the networks of OLDER and of PAPER_MODELS where
-    given.
+    given. Those of the paper's recipe always read pictures.
 
     Results go to OUT/insertions.jsonl as they come, the report to DOCS/drawn_worlds.md and .json. All are simulated.
     """
@@ -63,21 +63,25 @@ def main(arguments: list[str]) -> int:
     )
     played = _variants(options)
     setup = fingerprint({variant.title: variant.models for variant in played})
-    rows = options.play(drawn_worlds.tasks(played, begun, options.seed, options.perception), setup)
+    rows = options.play(drawn_worlds.tasks(played, begun, options.seed), setup)
     data = drawn_worlds.report_of(rows, played, begun, setup)
     sys.stdout.write(publish(options.docs, drawn_worlds.NAME, drawn_worlds.drawn_worlds_page(data), data))
     return 0
 
 
 def _variants(options: Options) -> list[Variant]:
+    seen = options.perception
     variants = [
-        Variant("release, reach given", options.models, "belief", given_reach=True),
-        Variant("release, reach not given", options.models, "belief", given_reach=False),
+        Variant("release, reach given", options.models, "belief", given_reach=True, perception=seen),
+        Variant("release, reach not given", options.models, "belief", given_reach=False, perception=seen),
     ]
     if list(options.older.glob("*.step.onnx")) and options.older.resolve() != options.models.resolve():
-        variants.append(Variant("release before", options.older, "belief", given_reach=False))
+        variants.append(Variant("release before", options.older, "belief", given_reach=False, perception=seen))
     if list(options.paper_models.glob("*.step.onnx")):
-        variants.append(Variant("the paper's recipe", options.paper_models, "heuristic", given_reach=False))
+        recipe = Variant(
+            "the paper's recipe", options.paper_models, "heuristic", given_reach=False, perception="pictures"
+        )
+        variants.append(recipe)
     return variants
 
 

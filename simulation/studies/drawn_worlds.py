@@ -11,7 +11,7 @@ from reporting.statistics import wilson
 from reporting.table import table
 from simulation.closed_loop.benchmark import first_answers
 from simulation.closed_loop.campaign import Task
-from simulation.closed_loop.job import job_in
+from simulation.closed_loop.job import Perception, job_in
 from simulation.closed_loop.statistics import Row, ends
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.scene import SceneError
@@ -34,12 +34,17 @@ _TRIES = 50
 
 
 class Variant(NamedTuple):
-    """A variant: a title, networks, a controller, and whether the client sends a measured shear reach."""
+    """A variant: a title, networks, a controller, and what they get.
+
+    ``given_reach``: the client sends a measured shear reach. ``perception``: the networks read pictures, or true marker
+    positions with the tracker's error.
+    """
 
     title: str
     models: Path
     controller: str
     given_reach: bool
+    perception: Perception = "fields"
 
 
 class Start(NamedTuple):
@@ -70,7 +75,7 @@ def _start(world: World, objects: Sequence[str], rng: np.random.Generator) -> St
     raise ValueError(f"world {world.name}: none of {_TRIES} objects drawn can be held in it")
 
 
-def tasks(variants: Sequence[Variant], begun: Sequence[Start], seed: int, perception: str) -> list[Task]:
+def tasks(variants: Sequence[Variant], begun: Sequence[Start], seed: int) -> list[Task]:
     """Every start by every variant, start by start: an interrupted run is still balanced."""
     return [
         Task(
@@ -82,7 +87,7 @@ def tasks(variants: Sequence[Variant], begun: Sequence[Start], seed: int, percep
                 (start.x_mm, start.theta_deg),
                 seed * 1_000_000 + index,
                 controller=variant.controller,
-                perception=perception,
+                perception=variant.perception,
                 condition=f"{start.world.name}: {variant.title}",
                 given_reach=variant.given_reach,
             ),

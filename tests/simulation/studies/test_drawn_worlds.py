@@ -19,12 +19,23 @@ def test_variants_play_the_same_starts_and_another_seed_other_ones(tmp_path):
     first, again, other = (drawn_worlds.starts(WORLDS, objects, 12, seed) for seed in (3, 3, 4))
     assert first == again != other
     assert [start.world.name for start in first] == [f"w{n % 6}" for n in range(12)]
-    todo = [task.job for task in drawn_worlds.tasks(variants(tmp_path), first, 3, "fields")]
+    todo = [task.job for task in drawn_worlds.tasks(variants(tmp_path), first, 3)]
     for stated, unstated in zip(todo[::2], todo[1::2], strict=True):
         assert (stated["given_reach"], unstated["given_reach"]) == (True, False)
         ignored = {"condition": "", "given_reach": ""}
         assert stated | ignored == unstated | ignored
     assert len({job["condition"] + str(job["index"]) for job in todo}) == len(todo)
+
+
+def test_networks_that_read_pictures_play_beside_those_that_read_markers(tmp_path):
+    ours, recipe = (
+        variants(tmp_path)[0],
+        Variant("paper", tmp_path, "heuristic", given_reach=False, perception="pictures"),
+    )
+    begun = drawn_worlds.starts(WORLDS, ["circle"], 2, 3)
+    todo = [task.job for task in drawn_worlds.tasks([ours, recipe], begun, 3)]
+    assert [job["perception"] for job in todo] == ["fields", "pictures"] * 2
+    assert [job["x_mm"] for job in todo[::2]] == [job["x_mm"] for job in todo[1::2]]
 
 
 def row(name, *, inserted, claimed=True, estimate=2.0):
