@@ -9,17 +9,21 @@ from robot_client.cli.insert import fixture_of, live_ports, make_plan
 from robot_client.cli.terminal import Outcome, rehearsed, show, stop_on_signals, warning
 from robot_client.insertion.events import Event, FromService
 from robot_client.insertion.limits import check_pose
-from robot_client.insertion.state import State
+from robot_client.insertion.state import Plan, State
 from robot_client.ports import DriverError
+from robot_client.session.commission.kept_gripper import KeptGripper
+from robot_client.session.commission.lateness import FAST, PLACE, StopWatch, slow_and_fast
 from robot_client.session.commission.record import RECORD, Record, read_record
 from robot_client.session.commission.run import FITS, PRESSES, REACH, Commissioning, Ended, errors
 from robot_client.session.commission.wiring import SIDES, probe_of
 from robot_client.session.cycle import CycleSettings, is_empty
 from robot_client.session.recorder import Recorder
-from robot_client.session.runner import Runner
+from robot_client.session.runner import Runner, to_the_end
 from robot_client.settings import Settings, SettingsError
 from service.contract import wire
 from service.contract.frames import Finger
+
+RATE_HZ = 30.0  # of cameras that have not told theirs
 
 
 def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out: Path, presses: bool) -> Outcome:
@@ -50,6 +54,7 @@ def _rehearse(probes_n: int, path: Path, record: Record | None, *, presses: bool
     steps = [
         "put the object into the fixture and regrasp it, before each probe",
         f"probe at {_places(SIDES)}: are the signs right?",
+        f"press {len(FAST)} times at {_places((PLACE,))}, at two speeds: how late are pictures and arm?",
         *([f"press at {_places(PRESSES)} until the gel slides"] if presses else []),
         f"{probes_n - done_n} probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
         f"keep what was seen in {path} after each",
@@ -67,12 +72,14 @@ class Felt:
     def __init__(self) -> None:
         self.answer: wire.Correction | wire.NoDecision | None = None
         self.gels: dict[Finger, str] = {}
+        self.rates_hz: tuple[float, ...] = ()
 
     def on_event(self, state: State, event: Event) -> None:  # noqa: ARG002 the protocol's signature
         if not isinstance(event, FromService):
             return
         if isinstance(event.message, wire.ServiceHello):
             self.gels = {camera.finger: camera.gel for camera in event.message.cameras}
+            self.rates_hz = tuple(camera.frame_rate_hz for camera in event.message.cameras if camera.frame_rate_hz)
         if isinstance(event.message, wire.Correction | wire.NoDecision):
             self.answer = event.message
 
@@ -86,24 +93,39 @@ class Probing:
 
     def __init__(self, settings: Settings, taught: CycleSettings, out: Path) -> None:
         self._settings, self._taught, self._out = settings, taught, out
+        self._rate_hz, self._kept = RATE_HZ, KeptGripper(settings.make_gripper())
 
     async def probe(self, x_mm: float, theta_deg: float, *, until_slip: bool = False) -> Ended:
         how = {"purpose": "probe", "until_slip": until_slip}
-        plan = make_plan(self._settings, x_mm, theta_deg, None, None).model_copy(update=how)
-        felt = Felt()
+        return await self._run(make_plan(self._settings, x_mm, theta_deg, None, None).model_copy(update=how))
+
+    async def press_at(self, x_mm: float, theta_deg: float, fast: bool) -> Ended:
+        plan = make_plan(self._settings, x_mm, theta_deg, None, None)
+        return await self._run(slow_and_fast(plan, self._rate_hz)[fast], self._kept)
+
+    async def _run(self, plan: Plan, kept: KeptGripper | None = None) -> Ended:
+        felt, watch = Felt(), StopWatch()
         log = Recorder(self._out / "episodes" / f"{plan.insertion_id}.jsonl", plan)
-        runner = Runner(plan, *live_ports(self._settings, plan), log, (felt,))
+        arm, gripper, service = live_ports(self._settings, plan)
+        runner = Runner(plan, arm, kept or gripper, service, log, (felt, watch))
         state = await runner.run()
+        self._rate_hz = min(felt.rates_hz, default=self._rate_hz)
         done = probe_of(plan.insertion_id, plan.approach, felt.answer)
-        return Ended(done, state.phase, state.reason, felt.gels)
+        return Ended(done, state.phase, state.reason, felt.gels, watch.stop)
 
     async def begin(self) -> None:
         """Raise DriverError if the hand is not empty: it does not hold the object of the fixture."""
         if not await self._settings.errands.with_gripper(lambda gripper: is_empty(gripper, self._taught.open_mm)):
             raise DriverError("gripper: holds something; put the object into the fixture and open the fingers")
 
+    async def leave(self) -> None:
+        """Release the gripper's connection if presses have kept it."""
+        kept, self._kept = self._kept, KeptGripper(self._settings.make_gripper())
+        await to_the_end(kept.leave())
+
     async def fetch(self) -> None:
         """Put the object back into the fixture, if held, and open; the next probe regrasps it."""
+        await self.leave()
         fixture = fixture_of(self._settings)
         assert fixture is not None
         await fixture.put_back()
@@ -113,7 +135,7 @@ async def _commission(probing: Probing, probes_n: int, path: Path, record: Recor
     stop_on_signals()
     draw = errors(record.seed, *REACH, FITS)
     press = partial(probing.probe, until_slip=True) if presses else None
-    running = Commissioning(path, record, probing.probe, probing.fetch, draw, show, press)
+    running = Commissioning(path, record, probing.probe, probing.fetch, draw, show, press, probing.press_at)
     reason = ""
     try:
         await probing.begin()
@@ -121,8 +143,12 @@ async def _commission(probing: Probing, probes_n: int, path: Path, record: Recor
     except DriverError as error:
         record, reason = running.record, str(error)
         show(f"HOLD  {error}")
+    finally:
+        await probing.leave()
     for cause in record.named:
         show(f"MISTAKE  {cause}")
+    if record.late_s is not None:
+        show(f"pictures and arm are late by {record.late_s * 1e3:.0f} ms together; `insert` reckons with at least that")
     if len(record.probes) >= probes_n and not reason:
         show(f"{len(record.probes)} probes done. The service's recordings hold them; to learn from them:")
         show("  tactile-insertion adapt RECORDINGS --from models/pressing/checkpoint.pt --out models/adapted")

@@ -50,7 +50,7 @@ def make_plan(
 
 
 def with_commissioning(settings: Settings, plan: Plan, *, asked: bool) -> Plan:
-    """The plan with the gels of the cell's commissioning; raises SettingsError for an uncommissioned cell.
+    """The plan with the gels and the lateness of the cell's commissioning; SettingsError for an uncommissioned cell.
 
     A simulated cell needs none: its signs are right. ``asked`` is False with --uncommissioned.
     """
@@ -61,7 +61,9 @@ def with_commissioning(settings: Settings, plan: Plan, *, asked: bool) -> Plan:
             'the configuration names no record of a commissioning (commissioning = "FILE"): run `commission --live`'
             " first, or type --uncommissioned"
         )
-    return plan.model_copy(update={"gels": commissioned(settings.commissioning).gels, "signs_known": True})
+    record = commissioned(settings.commissioning)
+    known = {"gels": record.gels, "signs_known": True, "lease": plan.lease.late_by(record.late_s)}
+    return plan.model_copy(update=known)
 
 
 def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionService]:

@@ -27,7 +27,8 @@ class Unwatched(LimitError):  # noqa: N818 it says what is, the driver turns it 
 class Lease(Contract):
     """``travel_mm`` from a frame's capture to standstill, including ``stop_lag_s`` at full speed.
 
-    ``stop_lag_s`` is from the last lowered target to standstill: the arm's lag behind its targets, plus a cycle.
+    ``stop_lag_s`` is from the last lowered target to standstill: the arm's lag behind its targets, plus a cycle. A
+    commissioning measures it together with the cameras' latency, which no stamp shows (:meth:`late_by`).
     """
 
     travel_mm: Positive = SLOW_MM
@@ -41,6 +42,10 @@ class Lease(Contract):
         """This lease, limited to the largest one allowed at that speed."""
         return self.model_copy(update={"travel_mm": min(self.travel_mm, max(SLOW_MM, FAST_S * speed_mm_s))})
 
+    def late_by(self, late_s: float | None) -> "Lease":
+        """This lease, with the lateness of pictures and arm as measured, if that is longer than its stop lag."""
+        return self.model_copy(update={"stop_lag_s": max(self.stop_lag_s, late_s or 0.0)})
+
     def check(self, speed_mm_s: float) -> None:
         """Raise LimitError for a travel above the limit of all cells, or a lag that uses up all of it."""
         most_mm = max(SLOW_MM, FAST_S * speed_mm_s)
@@ -49,19 +54,27 @@ class Lease(Contract):
             raise LimitError(f"lease.travel_mm = {self.travel_mm:g}, {where}")
         if not self.lasts_s(speed_mm_s) > HANDLING_S:
             lag = f"{self.stop_lag_s * 1e3:.0f} ms of stop lag"
-            raise LimitError(f"lease.travel_mm = {self.travel_mm:g} is used up by {lag} at {speed_mm_s:g} mm/s")
+            slower = (
+                f"descend more slowly than {self.travel_mm / (HANDLING_S + self.stop_lag_s):.1f} mm/s (ramps.descend)"
+            )
+            used = f"lease.travel_mm = {self.travel_mm:g} is used up by {lag} at {speed_mm_s:g} mm/s"
+            raise LimitError(f"{used}; {slower}")
 
     def check_rate(self, speed_mm_s: float, camera: wire.CameraEntry) -> None:
         """Raise LimitError for a camera too slow for this speed: descend more slowly then, never on a longer lease."""
         if camera.frame_rate_hz is None:
             return
-        needed_s = FRAMES_N / camera.frame_rate_hz + HANDLING_S
-        if self.lasts_s(speed_mm_s) < needed_s:
-            slower = self.travel_mm / (needed_s + self.stop_lag_s)
+        fastest_mm_s = self.fastest_mm_s(camera.frame_rate_hz)
+        if speed_mm_s > fastest_mm_s:
+            lasts_ms = self.lasts_s(speed_mm_s) * 1e3
             raise LimitError(
                 f"the {camera.finger} camera gives {camera.frame_rate_hz:.1f} frames a second: too few for a lease of"
-                f" {self.lasts_s(speed_mm_s) * 1e3:.0f} ms; descend at {slower:.1f} mm/s or slower (ramps.descend)"
+                f" {lasts_ms:.0f} ms; descend at {fastest_mm_s:.1f} mm/s or slower (ramps.descend)"
             )
+
+    def fastest_mm_s(self, rate_hz: float) -> float:
+        """The fastest descent on this lease with cameras of ``rate_hz``."""
+        return self.travel_mm / (FRAMES_N / rate_hz + HANDLING_S + self.stop_lag_s)
 
 
 def check_leased(motion: Motion, until_s: float | None) -> None:

@@ -103,6 +103,12 @@ class Plan(Contract):
     pause_s: float = Field(default=0.0, ge=0.0, le=PAUSE_S)
     pace: Pace = ONE_SPEED
 
+    def at_speed(self, speed_mm_s: float) -> "Plan":
+        """This plan, with a slower guarded descent."""
+        descend = self.ramps.descend.model_copy(update={"speed_mm_s": speed_mm_s})
+        ramps = self.ramps.model_copy(update={"descend": descend})
+        return self.model_copy(update={"ramps": ramps, "lease": self.lease.at_most(speed_mm_s)})
+
     def check(self) -> None:
         """Raise LimitError for a pose, a ramp, a speed or a lease that is not allowed."""
         for target in (self.approach, self.deepest):
@@ -232,16 +238,13 @@ class State:
             return None
         probing_mm_s = plan.ramps.descend.speed_mm_s
         slower_mm_s = min(probing_mm_s, max(SLOWEST_MM_S, 0.5 * probing_mm_s))
-        descend = plan.ramps.descend.model_copy(update={"speed_mm_s": slower_mm_s})
-        return plan.model_copy(
+        return plan.at_speed(slower_mm_s).model_copy(
             update={
                 "insertion_id": insertion_id,
                 "continues": plan.insertion_id,
                 "no_decisions": self.no_decisions,
                 "approach": self.armed.at_height(plan.approach.z_mm).tilted(0.0),
                 "limits": plan.limits.model_copy(update={"max_attempts": left_n}),
-                "ramps": plan.ramps.model_copy(update={"descend": descend}),
-                "lease": plan.lease.at_most(slower_mm_s),
             }
         )
 

@@ -209,6 +209,7 @@ class Enough(InsertionMessage):
     type: Literal["enough"] = "enough"
     attempt: Attempt
     frame_seq: int
+    captured_ns: int
     pressed_mm: float
 
 

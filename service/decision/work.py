@@ -173,6 +173,7 @@ def enough_message(attempt: Attempt) -> Iterator[wire.Enough]:
             insertion_id=attempt.arm.insertion_id,
             attempt=attempt.arm.attempt,
             frame_seq=pair.seq,
+            captured_ns=pair.captured_ns,
             pressed_mm=descent.pressed_mm,
         )
 

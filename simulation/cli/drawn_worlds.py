@@ -70,13 +70,13 @@ def main(arguments: list[str]) -> int:
 
 
 def _variants(options: Options) -> list[Variant]:
-    seen = options.perception
+    reads = options.perception
     variants = [
-        Variant("release, reach given", options.models, "belief", given_reach=True, perception=seen),
-        Variant("release, reach not given", options.models, "belief", given_reach=False, perception=seen),
+        Variant("release, reach given", options.models, "belief", given_reach=True, perception=reads),
+        Variant("release, reach not given", options.models, "belief", given_reach=False, perception=reads),
     ]
     if list(options.older.glob("*.step.onnx")) and options.older.resolve() != options.models.resolve():
-        variants.append(Variant("release before", options.older, "belief", given_reach=False, perception=seen))
+        variants.append(Variant("release before", options.older, "belief", given_reach=False, perception=reads))
     if list(options.paper_models.glob("*.step.onnx")):
         recipe = Variant(
             "the paper's recipe", options.paper_models, "heuristic", given_reach=False, perception="pictures"

@@ -1,23 +1,30 @@
 """`python -m simulation trust`: claims under adversity, in lock step on all cores, resumable."""
 
+import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 
+from reporting.files import write_json
 from reporting.page import publish
 from simulation.cli.drawn_worlds import drawn_worlds_of
 from simulation.cli.evaluate import PlayOptions
+from simulation.closed_loop import campaign
 from simulation.closed_loop.campaign import fingerprint
 from simulation.closed_loop.job import Perception
 from simulation.scene.worlds import files_in, load_objects, load_world
 from simulation.studies import trust
+from simulation.studies.lateness import lateness
 
 
 @dataclass(frozen=True)
 class Options(PlayOptions):
-    """Play insertions, each with a drawn world, object, start and fault, and count the false claims."""
+    """Play insertions, each with a drawn world, object, start and fault, and count the false claims.
+
+    Each cell is timed first, as in a commissioning.
+    """
 
     out: Path = Path("runs/trust")
     docs: Path = Path("runs/trust")
@@ -40,7 +47,13 @@ def main(arguments: list[str]) -> int:
     worlds = [load_world(path) for path in files_in(options.worlds)]
     worlds += drawn_worlds_of(options.drawn_n, options.seed, options.layer_share)
     setup = fingerprint({"belief": options.models})
-    todo = trust.tasks(worlds, load_objects(options.objects), options.count, options.seed, options.models, "")
-    data = trust.report_of(options.play(todo, setup), setup)
+    campaign.claim(options.out, setup)
+    objects, path = load_objects(options.objects), options.out / "lateness.json"
+    if not path.exists():
+        write_json(path, lateness(worlds, objects, options.seed, options.models, options.workers))
+    late = json.loads(path.read_text(encoding="utf-8"))
+    late_s = {row["world"]: row["late_s"] for row in late}
+    todo = trust.tasks(worlds, objects, options.count, options.seed, options.models, late_s)
+    data = trust.report_of(options.play(todo, setup), late, setup)
     sys.stdout.write(publish(options.docs, trust.NAME, trust.trust_page(data), data))
     return 0

@@ -11,7 +11,7 @@ from simulation.closed_loop.cameras import Camera, foreign_cameras, own_cameras
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.scene import Scene
-from simulation.scene.state import Cell
+from simulation.scene.state import Cell, CellState
 from simulation.scene.worlds import World, load_scene
 
 Perception = Literal["pictures", "fields"]
@@ -31,6 +31,7 @@ class Job:
     its table `[world]`.
 
     ``given_reach``: the client also sends the gel's shear reach, with the error of a cell that has measured it.
+    ``late_s``: the lateness of pictures and arm that its commissioning has measured; None: none.
 
     ``controller``: one of the service's, or the oracle, which moves by the true error: its remaining cost is the first
     attempt and the creep in the hand.
@@ -59,6 +60,7 @@ class Job:
     cell: Literal["", "foreign"] = ""
     fault: Mapping[str, Any] = field(default_factory=dict)
     given_reach: bool = False
+    late_s: float | None = None
     client: Mapping[str, Any] = field(default_factory=dict)
     purpose: Literal["insert", "probe"] = "insert"
 
@@ -117,6 +119,14 @@ class Course:
     slipped_mm: float = 0.0
     force_n: float = 0.0
     unsolved: int = 0
+
+    def take_in(self, state: CellState, in_hand_mm: float) -> None:
+        """Take in the next state of the cell, the object displaced in the hand by ``in_hand_mm``."""
+        blocks = state.block_motion
+        self.in_hand_mm = max(self.in_hand_mm, in_hand_mm)
+        self.block_mm = max(self.block_mm, float(np.hypot(blocks[:, 0], blocks[:, 1]).max()))
+        self.block_tilt_deg = max(self.block_tilt_deg, float(blocks[:, 3].max()))
+        self.force_n = max(self.force_n, float(np.linalg.norm(state.wrench_n_nmm[:3])))
 
 
 @dataclass(slots=True)

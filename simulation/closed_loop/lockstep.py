@@ -58,7 +58,7 @@ class LockstepCell:
     moving: bool = False
     still_s: float = 0.0
     state: CellState = field(init=False)
-    shots: deque[CellState] = field(init=False)
+    shots: deque[tuple[CellState, float]] = field(init=False)  # exposures, with the TCP's height in mm
     course: Course = field(default_factory=Course)
     speed_mm_s: float = field(init=False)
     pausing: bool = False  # the arm pauses within a descent
@@ -160,7 +160,7 @@ class LockstepCell:
         self.now_ns += round(1e9 / self.scene.fps)
         after = self._late_periods % 1.0  # in periods, from an exposure to the next arrival of a frame
         self._pass(1.0 - after)
-        self.shots.append(self.state)
+        self.shots.append((self.state, self.pose[2]))
         if after > 0.0:
             self._pass(after)
         self.frame += 1
@@ -194,7 +194,7 @@ class LockstepCell:
 
     def _rest(self) -> None:
         """All frames still to come show the present gel."""
-        self.shots.extend([self.state] * (self.shots.maxlen or 0))
+        self.shots.extend([(self.state, self.pose[2])] * (self.shots.maxlen or 0))
 
     def _pass(self, periods: float) -> None:
         """Advance by a fraction of a frame period."""
@@ -234,7 +234,12 @@ class LockstepCell:
     def gels(self, index: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The gel in the last frame of that name, and in the frame before it."""
         finger = self._finger_at(index)
-        return self.shots[1].gel[finger], self.shots[0].gel[finger]
+        return self.shots[1][0].gel[finger], self.shots[0][0].gel[finger]
+
+    @property
+    def exposed_mm(self) -> float:
+        """Height of the TCP at the exposure of the last frames, mm: before their stamp, if the camera has latency."""
+        return self.shots[1][1]
 
     def calibration(self, index: int) -> CameraCalibration:
         """The calibration that the software uses for that camera."""
@@ -270,20 +275,12 @@ class LockstepCell:
             if self._stuck > MAX_UNSOLVED:
                 raise
             return False
-        self._stuck = 0
-        self._see(state)
+        self._stuck, self.state = 0, state
+        self.course.take_in(state, self._in_hand_mm())
         return True
 
     def _in_hand_mm(self) -> float:
         return float(np.linalg.norm(self.state.in_hand[:3] - self._grasped))
-
-    def _see(self, state: CellState) -> None:
-        self.state = state
-        course, blocks = self.course, state.block_motion
-        course.in_hand_mm = max(course.in_hand_mm, self._in_hand_mm())
-        course.block_mm = max(course.block_mm, float(np.hypot(blocks[:, 0], blocks[:, 1]).max()))
-        course.block_tilt_deg = max(course.block_tilt_deg, float(blocks[:, 3].max()))
-        course.force_n = max(course.force_n, float(np.linalg.norm(state.wrench_n_nmm[:3])))
 
 
 def _pose_of(physics: Cell) -> Pose:

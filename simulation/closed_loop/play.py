@@ -6,12 +6,11 @@ perception, the shipped ONNX files and its controller; the answers go through th
 """
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from robot_client.insertion.events import (
     Arrived,
@@ -32,17 +31,17 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.machine import step
 from robot_client.insertion.seconds import AFRESH, Seconds
-from robot_client.insertion.state import Phase, State
+from robot_client.insertion.state import Phase, Plan, State
 from robot_client.settings import Settings
 from service.contract import FramePair
-from service.contract.wire import Correction, Estimate, LearnOpen, NoDecision
+from service.contract.wire import Correction, LearnOpen, NoDecision
 from service.decision.attempt import WorkResult
-from service.decision.evidence import Evidence
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, plan_of, seconds_of_frames, staged, trip_s, walk_of
 from simulation.closed_loop.job import Job, Outcome, Perception, Who
 from simulation.closed_loop.lockstep import GraspEndError, LockstepCell
+from simulation.closed_loop.oracle import by_the_truth, nothing_known
 from simulation.closed_loop.session import session_of
 from simulation.closed_loop.true_fields import Fault, Trouble
 from simulation.closed_loop.unseen import Unseen
@@ -80,12 +79,18 @@ class Insertion:
         self._tried = 0  # attempts with the object in its earlier grasps
         self.state = State(plan_of(cell, self._pose(), FAR if self.oracle else Limits(), reach_mm, client))
         self.seconds, self.unseen = Seconds(), Unseen()
+        self.watches: Callable[[State, Event], None] = lambda _state, _event: None
         self.trials: list[dict[str, Any]] = []
         self.until: frozenset[Phase] = frozenset()  # phases that stop the play
         self.before = cell.state  # the unloaded state at the start of the descent
         self._events: deque[Event] = deque()
         self._standing = False
         self._skipped: list[Work] = []
+
+    def begin_again(self, plan: Plan) -> None:
+        """Let `run` play another insertion or probe, with the object as it is in the hand."""
+        self.session, self.state, self._standing = self._make_session(), State(plan), False
+        self.cell.speed_mm_s = plan.ramps.descend.speed_mm_s
 
     def run(self) -> Outcome:
         """Play the insertion to its end; if the physics fails, it is void and counts as failed."""
@@ -135,12 +140,11 @@ class Insertion:
         self.grasps, self._tried = self.grasps + 1, self._tried + self.state.tried_n
         took_s = trip_s(plan)
         self.cell.take_afresh(plan.approach.x_mm, plan.approach.y_mm, plan.approach.yaw_deg, took_s)
-        self.cell.speed_mm_s = plan.ramps.descend.speed_mm_s
         self.seconds.spent[AFRESH] += took_s
-        before, self.session = self.session, self._make_session()
+        before = self.session
+        self.begin_again(plan)
         self.session.submit, self.session.on_attempt = before.submit, before.on_attempt
         self.session.decider = before.decider and before.decider.afresh(plan.insertion_id)
-        self.state, self._standing = State(plan), False
         self._post(Begin(at_s=self.cell.now_s, pose=self._pose()))
         return True
 
@@ -148,7 +152,7 @@ class Insertion:
         was_moving, state = self.cell.moving, self.state
         self.cell.pausing = state.phase is Phase.DESCENDING and self.cell.now_s >= state.until_s
         pair = self.cell.next_pair(look=self.session.wants_frames)
-        self.unseen.frame(now_ns := self.cell.now_ns, self.cell.pose[2])
+        self.unseen.frame(now_ns := self.cell.now_ns, self.cell.exposed_mm, self.cell.pose[2])
         self._show(pair, now_ns)
         self._hear(self.session.on_tick(now_ns))
         self._post(ClientTick(at_s=self.cell.now_s))
@@ -169,7 +173,7 @@ class Insertion:
         while self._skipped:
             work, attempt = self._skipped.pop(0), self.session.attempt
             if attempt is not None and attempt.result is None:
-                result = WorkResult(work.attempt, attempt.generation, self._nothing_known(), None, {})
+                result = WorkResult(work.attempt, attempt.generation, nothing_known(self.models), None, {})
                 self._hear(self.session.on_result(result, now_ns))
 
     def _skip_networks(self, work: Work) -> None:
@@ -177,10 +181,6 @@ class Insertion:
         attempt = self.session.attempt
         if attempt is not None and attempt.fed:
             self._skipped.append(work)
-
-    def _nothing_known(self) -> Evidence:
-        classes = self.models.card.classes
-        return Evidence(classes, np.full(len(classes), 1.0 / len(classes)), (0.0, 0.0), (10.0, 10.0))
 
     def _hear(self, messages: list[Any]) -> None:
         for message in messages:
@@ -193,7 +193,7 @@ class Insertion:
         if self.oracle:
             if self.session.decider:
                 self.session.decider.consistency = None  # the arm follows the oracle's moves
-            message = self._by_the_truth(message)
+            message = by_the_truth(message, self.before.object_error)
         decision = message.model_dump(mode="json", exclude={"insertion_id", "latency_ms"})
         frames_s = seconds_of_frames(self.session.attempt)
         wrench = [round(float(v), 3) for v in self.cell.state.wrench_n_nmm]
@@ -201,27 +201,13 @@ class Insertion:
         self.trials.append(trial | {"decision": decision, "frames_s": frames_s})
         return message
 
-    def _by_the_truth(self, message: Correction | NoDecision) -> Correction:
-        dx, dtheta = (-error for error in self.before.object_error)
-        return Correction(
-            insertion_id=message.insertion_id,
-            attempt=message.attempt,
-            dx_mm=dx,
-            dtheta_deg=dtheta,
-            class_probabilities={},
-            estimate=Estimate(dx_mm=0.0, dtheta_deg=0.0),
-            confidence=0.0,
-            controller="heuristic",
-            reason="oracle step",
-            latency_ms={},
-        )
-
     def _post(self, event: Event) -> None:
         self._events.append(event)
         while self._events:
             event = self._events.popleft()
             self.state, commands = step(self.state, event)
             self.seconds.on_event(self.state, event)
+            self.watches(self.state, event)
             for command in commands:
                 self._carry_out(command)
 
@@ -276,7 +262,8 @@ def stage(job: Job, models: ModelSet) -> Insertion:
         reach_mm=job.measured_reach_mm(scene),
         client=client,
     )
-    insertion.state = State(insertion.state.plan.model_copy(update={"purpose": job.purpose}))
+    plan = insertion.state.plan
+    insertion.state = State(plan.model_copy(update={"purpose": job.purpose, "lease": plan.lease.late_by(job.late_s)}))
     return insertion
 
 

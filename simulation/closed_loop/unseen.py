@@ -1,4 +1,4 @@
-"""How far the arm descends after the capture of the newest judged frame, in lock step."""
+"""How far the arm descends after the exposure of the newest judged frame, in lock step."""
 
 from typing import Any
 
@@ -13,9 +13,9 @@ class Unseen:
         self._heights: dict[int, float] = {}
         self._answered_mm: float | None = None
 
-    def frame(self, captured_ns: int, height_mm: float) -> None:
-        """Record the arm's height at the capture of these frames."""
-        self._heights[captured_ns] = height_mm
+    def frame(self, captured_ns: int, exposed_mm: float, height_mm: float) -> None:
+        """Record the arm's height at the exposure of frames with this stamp, and its present height."""
+        self._heights[captured_ns] = exposed_mm
         if self._answered_mm is not None:
             self.most_mm = max(self.most_mm, self._answered_mm - height_mm)
 

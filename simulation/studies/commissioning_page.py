@@ -10,6 +10,7 @@ from reporting.statistics import Estimate, number, wilson
 from reporting.table import Table, table
 from simulation.closed_loop.statistics import Row
 from simulation.studies.commissioning import MISTAKES, VERSIONS
+from simulation.studies.lateness import errors_ms
 
 RIGHTLY: Mapping[str, str] = {
     "fingers swapped": "fingers are swapped",
@@ -50,6 +51,7 @@ OF_STAGES: tuple[Any, ...] = (
     ("90 % coverage x", "coverage90_x", ".0%"),
     ("90 % coverage yaw", "coverage90_theta", ".0%"),
 )
+NEAR_MS = 20.0
 MOST_MINUTES, MOST_ADAPT_S, MOST_TRIALS = 40.0, 600.0, 2.6
 
 
@@ -59,9 +61,10 @@ def commissioning_page(data: Row) -> str:
     learnt = [row for row in data["rows"] if row["verdicts"] and row["released"]["direction_n"]]
     return page(
         "# The first day of a cell, simulated",
-        _conclusion(asked, learnt),
+        _conclusion(asked, learnt, data.get("late", ())),
         _MEASURED,
         _signs(asked),
+        *_late(data.get("late", ())),
         """
         ## What the cell learns
 
@@ -99,12 +102,31 @@ def commissioning_page(data: Row) -> str:
     )
 
 
-def _conclusion(asked: Sequence[Row], learnt: Sequence[Row]) -> str:
+def _late(rows: Sequence[Row]) -> tuple[str, ...]:
+    if not rows:
+        return ()
+    off_ms = errors_ms(rows)
+    near_n = sum(abs(off) <= NEAR_MS for off in off_ms)
+    true_ms = [1e3 * row["true_late_s"] for row in rows]
+    return (
+        "## Presses at two speeds tell how late pictures and arm are",
+        f"""
+        In {len(rows)} drawn worlds, good ones, the cameras' latency and the arm's stop lag together were
+        {min(true_ms):.0f} to {max(true_ms):.0f} ms. [Seven presses](decisions/0194-how-late-pictures-and-arm-are.md)
+        measured them in {len(off_ms)}: off by {np.mean(off_ms):+.0f} ms on average, {min(off_ms):+.0f} to
+        {max(off_ms):+.0f} ms, and within {NEAR_MS:.0f} ms in {wilson(near_n, len(off_ms)):.0%}. They take up to
+        {max(row["robot_s"] for row in rows):.0f} s of robot time, with the way to the fixture.
+        """,
+    )
+
+
+def _conclusion(asked: Sequence[Row], learnt: Sequence[Row], late: Sequence[Row]) -> str:
     named = [(row, _mistake(row)) for row in asked]
     wrong = sum(bool(row["mistakes_named"]) for row, mistake in named if not mistake)
     good_n = sum(not mistake for _, mistake in named)
     right = sum(_rightly(row) for row, mistake in named if mistake)
-    minutes = max((row["robot_minutes"] for row in learnt), default=0.0)
+    timing_s = max((row["robot_s"] for row in late), default=0.0)
+    minutes = max((row["robot_minutes"] for row in learnt), default=0.0) + timing_s / 60.0
     adapt_s = max((row["adapt_s"] for row in learnt), default=0.0)
     checks = (
         (wrong == 0, f"{wrong} of {good_n} good cells were accused of a mistake (target: none)"),

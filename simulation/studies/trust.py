@@ -22,6 +22,7 @@ from simulation.closed_loop.statistics import Row
 from simulation.closed_loop.true_fields import Fault, Kind
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World
+from simulation.studies.lateness import errors_ms
 
 NAME = "trust"
 FAULT_FREE, MISTAKEN = 0.45, 0.1  # shares of all insertions; the rest have a fault
@@ -38,9 +39,17 @@ WITHOUT = "no fault"
 
 
 def tasks(
-    worlds: Sequence[World], objects: Mapping[str, Scene], count: int, seed: int, models: Path, made_by: str
+    worlds: Sequence[World],
+    objects: Mapping[str, Scene],
+    count: int,
+    seed: int,
+    models: Path,
+    late_s: Mapping[str, float | None],
 ) -> list[Task]:
-    """``count`` insertions, each with its own draw of world, object, start and fault; the same for the same seed."""
+    """``count`` insertions, each with its own draw of world, object, start and fault; the same for the same seed.
+
+    ``late_s``: lateness of each world by name, as its commissioning has measured it.
+    """
     rng = np.random.default_rng((seed, 0x7A57))
     todo: list[Task] = []
     while len(todo) < count:
@@ -53,12 +62,13 @@ def tasks(
         except SceneError:
             continue  # this object cannot be held in this world
         start = (shares[0] * scene.x_range_mm, shares[1] * scene.theta_range_deg)
-        job = job_in(world, name, len(todo), start, seed * 1_000_000 + len(todo), condition=f"{world.name}: {wrong}")
+        job = job_in(world, name, len(todo), start, seed * 1_000_000 + len(todo), late_s=late_s.get(world.name))
+        job["condition"] = f"{world.name}: {wrong}"
         if isinstance(given, Fault):
             job["fault"] = asdict(given) | {"fingers": list(given.fingers)}
         else:
             job["unstated"] |= given
-        todo.append(Task(models, job, made_by))
+        todo.append(Task(models, job))
     return todo
 
 
@@ -91,8 +101,11 @@ def figures(rows: Sequence[Row]) -> Row:
     }
 
 
-def report_of(rows: Sequence[Row], setup: Mapping[str, Any]) -> Row:
-    """What the page is written from, as plain data. A fault that never came about counts as none."""
+def report_of(rows: Sequence[Row], late: Sequence[Row], setup: Mapping[str, Any]) -> Row:
+    """What the page is written from, as plain data. A fault that never came about counts as none.
+
+    ``late``: rows of `lateness.lateness`.
+    """
     groups: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
         idle = row["fault"] and not row["fault_acted"]
@@ -104,6 +117,7 @@ def report_of(rows: Sequence[Row], setup: Mapping[str, Any]) -> Row:
         "simulated": True,
         "setup": dict(setup),
         "all": figures(rows),
+        "late": list(late),
         "untrue": [{key: row[key] for key in keys} for row in untrue],
         "faults": [{"fault": name, **figures(group)} for name, group in sorted(groups.items())],
         "reasons": [{"reason": reason, "insertions": count} for reason, count in reasons.most_common(20)],
@@ -134,9 +148,9 @@ def trust_page(data: Row) -> str:
         Without a fault, {truths} insertions ended in the gap, and {good["good_refused"]} of those were not claimed:
         {refused:.1%}.
 
-        Between the capture of a frame that was judged and the next judged frame, the arm descended by at most
-        {every["unseen_mm"]:.2f} mm, and in the worst case by {every["unseen_share"]:.2f} times what the lease allows at
-        its speed. The lease assumes that an arm stops within 40 ms; the drawn arms take 10 to 80 ms.
+        After a frame that was judged, the arm descended by at most {every["unseen_mm"]:.2f} mm before the next one was
+        judged or it stood, and in the worst case by {every["unseen_share"]:.2f} times what the lease allows at its
+        speed.
         """,
         *_untrue(data["untrue"]),
         """
@@ -147,9 +161,9 @@ def trust_page(data: Row) -> str:
         networks, the controller and the client's state machine are those that ship. Marker positions are the true ones
         plus the tracker's error. An insertion is void where the simulated physics found no solution; it counts neither
         as claimed nor as refused.
-
-        ## By fault
         """,
+        _late(data.get("late", ())),
+        "## By fault",
         table(
             data["faults"],
             ("fault", "fault"),
@@ -167,6 +181,22 @@ def trust_page(data: Row) -> str:
         data.get("note", ""),
         "`make trust` repeats the test and writes this page.",
     )
+
+
+def _late(rows: Sequence[Row]) -> str:
+    """How well each cell's lateness was known."""
+    off_ms = errors_ms(rows)
+    if not off_ms:
+        return """
+        The clients did not know how late the pictures and the arm of their cell are. The descent after a frame is
+        counted from the frame's stamp.
+        """
+    return f"""
+        Each cell was [timed first](decisions/0194-how-late-pictures-and-arm-are.md), as in a commissioning: it told
+        the lateness of pictures and arm in {len(off_ms)} of {len(rows)} worlds, off by {np.mean(off_ms):+.0f} ms on
+        average, {min(off_ms):+.0f} to {max(off_ms):+.0f} ms. The arm descends no faster than its lease then allows. The
+        descent after a frame is counted from the frame's exposure, before its stamp.
+        """
 
 
 def _untrue(rows: Sequence[Row]) -> tuple[Any, ...]:

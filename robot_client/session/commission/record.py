@@ -8,6 +8,7 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
+from robot_client.session.commission.lateness import Stop, late_s
 from robot_client.session.commission.wiring import SIDES, Probe, mistakes
 from service.contract.frames import Contract, ContractError, Finger, first_error
 
@@ -17,8 +18,8 @@ RECORD = "commissioning.json"
 class Record(Contract):
     """A stored commissioning. ``seed`` determines the errors of all probes, ``named`` are mistakes of the cell.
 
-    ``gels`` are those of its first probe, by the service's names. ``presses`` continued until the gel slid. ``sha256``
-    covers all other fields as written.
+    ``gels`` are those of its first probe, by the service's names. ``presses`` continued until the gel slid. ``stops``
+    are those of the presses at two speeds. ``sha256`` covers all other fields as written.
     """
 
     version: Literal[1] = 1
@@ -29,12 +30,18 @@ class Record(Contract):
     signs: tuple[Probe, ...] = ()
     named: tuple[str, ...] = ()
     presses: tuple[Probe, ...] = ()
+    stops: tuple[Stop, ...] = ()
     probes: tuple[Probe, ...] = ()
     sha256: str = ""
 
+    @property
+    def late_s(self) -> float | None:
+        """How late pictures and arm are together, s; None if it was not measured."""
+        return late_s(self.stops)
+
     def digest(self) -> str:
         """SHA-256 of all other fields."""
-        younger = {"presses"} if not self.presses else set()  # older records without presses keep their digest
+        younger = {name for name in ("presses", "stops") if not getattr(self, name)}  # older records have none of them
         content = self.model_dump(mode="json", exclude={"sha256", *younger})
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 

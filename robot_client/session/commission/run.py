@@ -1,4 +1,4 @@
-"""The first day of a cell: probes with known errors, first to check its wiring, then to learn from.
+"""The first day of a cell: probes with known errors, to check its wiring and timing, then to learn from.
 
 A probe is a guarded descent from a known error that ends with its first decision; nothing is inserted. All limits, the
 motion lease and every fault of an insertion apply to it. Results are stored after each probe, so that an interrupted
@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
+from robot_client.session.commission.lateness import FAST, PLACE, Stop
 from robot_client.session.commission.record import Record, keep_record
 from robot_client.session.commission.wiring import SIDES, Probe, mistakes
 from service.contract.frames import Finger
@@ -28,12 +29,13 @@ FITS = (2.5, 3.0)
 
 
 class Ended(NamedTuple):
-    """How a probe ended: its stored form, the phase, the reason if it failed, and the service's gels."""
+    """How a probe ended: its stored form, the phase, the reason if it failed, the service's gels, and its stop."""
 
     probe: Probe
     phase: Phase
     reason: str
     gels: dict[Finger, str]
+    stop: Stop | None = None
 
 
 def errors(seed: int, x_mm: float, theta_deg: float, fits: tuple[float, float]) -> Callable[[int], tuple[float, float]]:
@@ -54,8 +56,9 @@ def errors(seed: int, x_mm: float, theta_deg: float, fits: tuple[float, float]) 
 class Commissioning:
     """Carries out the commissioning. ``probe`` is one probe from the arm's present pose, ``fetch`` regrasps the object.
 
-    ``press`` is a probe that goes on until the gel slides; None: no presses. ``path`` is the record's; its probes are
-    not repeated.
+    ``press`` is a probe that goes on until the gel slides; None: no presses. ``press_at`` is a slow or fast
+    probe (True), the object held from before; None: the lateness is not measured. ``path`` is the record's;
+    its probes are not repeated.
     """
 
     path: Path
@@ -65,6 +68,7 @@ class Commissioning:
     draw: Callable[[int], tuple[float, float]]
     show: Callable[[str], None]
     press: Callable[[float, float], Awaitable[Ended]] | None = None
+    press_at: Callable[[float, float, bool], Awaitable[Ended]] | None = None
     _began_s: float = field(default_factory=time.monotonic)
 
     async def run(self, probes_n: int) -> Record:
@@ -75,6 +79,8 @@ class Commissioning:
                 done = await self._probe(f"sign {number + 1} of {len(SIDES)}", *SIDES[number])
                 self._keep(signs=(*self.record.signs, done))
             self._keep(named=mistakes(self.record.signs))
+            if self.press_at and not self.record.named and not self.record.stops:
+                self._keep(stops=await self._stops(self.press_at))
             while self.press and not self.record.named and len(self.record.presses) < len(PRESSES):
                 number = len(self.record.presses)
                 title = f"press {number + 1} of {len(PRESSES)}"
@@ -90,21 +96,39 @@ class Commissioning:
             ) from None
         return self.record
 
+    async def _stops(self, press_at: Callable[[float, float, bool], Awaitable[Ended]]) -> tuple[Stop, ...]:
+        """Stops of the presses at two speeds, all in one grasp; none unless each was pressed enough."""
+        await self.fetch()
+        stops = []
+        for number, fast in enumerate(FAST, 1):
+            title = f"{'fast' if fast else 'slow'} press {number} of {len(FAST)}"
+            done = self._checked(title, await press_at(*PLACE, fast))
+            if done.stop is None:
+                self.show(f"{title}: not stopped by what was pressed; HOW LATE pictures and arm are IS NOT KNOWN")
+                return ()
+            self.show(f"{title}: stopped at {done.stop.depth_mm:.2f} mm")
+            stops.append(done.stop)
+        return tuple(stops)
+
     async def _probe(
         self, title: str, x_mm: float, theta_deg: float, how: Callable[[float, float], Awaitable[Ended]] | None = None
     ) -> Probe:
         await self.fetch()  # each time: it drifts in the hand, and open gels are learnt before a grasp
-        done, phase, reason, gels = await (how or self.probe)(x_mm, theta_deg)
-        if phase is not Phase.PROBED:
-            raise DriverError(f"{title}: {reason}")
-        if gels != (self.record.gels or gels):
-            raise DriverError(f"{title}: a gel was changed or calibrated again; remove {self.path} and begin anew")
-        self.record = self.record.model_copy(update={"gels": gels})
+        done = self._checked(title, await (how or self.probe)(x_mm, theta_deg)).probe
         felt = done.said
         if done.estimate_x_mm is not None and done.estimate_theta_deg is not None:
             felt = f"felt {done.estimate_x_mm:+.1f} mm, {done.estimate_theta_deg:+.1f} deg"
         self.show(f"{title}: {x_mm:+.1f} mm, {theta_deg:+.1f} deg; {felt}")
         return done
+
+    def _checked(self, title: str, ended: Ended) -> Ended:
+        """The same, if the probe was carried out on the gels of the ones before; raises DriverError."""
+        if ended.phase is not Phase.PROBED:
+            raise DriverError(f"{title}: {ended.reason}")
+        if ended.gels != (self.record.gels or ended.gels):
+            raise DriverError(f"{title}: a gel was changed or calibrated again; remove {self.path} and begin anew")
+        self.record = self.record.model_copy(update={"gels": ended.gels})
+        return ended
 
     def _left(self, probes_n: int) -> str:
         done_n = len(self.record.probes) + len(self.record.signs)

@@ -221,7 +221,7 @@ def test_messages_for_another_phase_move_nothing(story):
     for message in (armed(1), watching(1, 0.0), slip(1), correction(1), wire.OpenLearnt(insertion_id=ID), hello()):
         _, commands = step(state, service(message))
         assert bool([c for c in commands if isinstance(c, Move)]) == (message.type in expected), message.type
-    enough = wire.Enough(insertion_id=ID, attempt=1, frame_seq=3, pressed_mm=1.2)
+    enough = wire.Enough(insertion_id=ID, attempt=1, frame_seq=3, captured_ns=7, pressed_mm=1.2)
     assert step(state, service(enough)) == (state, ())
 
 

@@ -28,7 +28,7 @@ def descended(one: LockstepCell, frames: int) -> list[float]:
     heights = []
     for _ in range(frames):
         one.next_pair(look=False)
-        heights.append(one.shots[1].bottom_z_mm)
+        heights.append(one.shots[1][0].bottom_z_mm)
     return heights
 
 

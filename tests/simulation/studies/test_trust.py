@@ -1,6 +1,7 @@
 """Faults during a descent that would fit: their claims, and how they are counted."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -55,13 +56,13 @@ def test_a_hand_that_is_empty_or_eyes_that_are_blind_claim_nothing(models, fault
 def test_the_draw_is_the_same_for_the_same_seed_and_holds_every_kind(tmp_path):
     worlds = [drawn.world(tables, str(number)) for number, tables in enumerate(drawn.draw_worlds(5, 2))]
     objects = load_objects(["circle", "can"])
-    first, again = (trust.tasks(worlds, objects, 200, 4, tmp_path, "") for _ in range(2))
+    first, again = (trust.tasks(worlds, objects, 200, 4, tmp_path, {}) for _ in range(2))
     assert first == again
     kinds = {task.job["fault"]["kind"] for task in first if "fault" in task.job}
     assert kinds == set(trust.KINDS)
     assert {task.job["condition"].partition(": ")[2] for task in first} > {trust.WITHOUT, *trust.MISTAKES}
     assert all(task.made(json.loads(json.dumps(task.job))) for task in first), "what is in the log is not played again"
-    assert trust.tasks(worlds, objects, 200, 5, tmp_path, "") != first
+    assert trust.tasks(worlds, objects, 200, 5, tmp_path, {}) != first
 
 
 def test_false_claims_come_first_on_the_page_and_void_ones_count_as_neither():
@@ -73,7 +74,7 @@ def test_false_claims_come_first_on_the_page_and_void_ones_count_as_neither():
     rows += [row | faulty | {"inserted": False, "in_gap": False, "shortfalls": ("it is tilted",), "unseen_mm": 3.0}]
     rows += [row | {"claimed": False, "inserted": False, "reason": "service: not_confirmed: full depth"}]
     rows += [row | {"claimed": False, "inserted": False, "in_gap": False, "void": True, "reason": "physics: x"}]
-    data = trust.report_of(rows, {})
+    data = trust.report_of(rows, (), {})
     assert data["all"] == {
         "insertions": 100,
         "claimed": 98,
@@ -94,3 +95,13 @@ def test_false_claims_come_first_on_the_page_and_void_ones_count_as_neither():
     assert f"**1 of 98 claims were false: {wilson(1, 98):.2%}**. That is 1.00 % (0.18 .. 5.45) of 100" in prose
     assert "Without a fault, 97 insertions ended in the gap, and 1 of those were not claimed" in prose
     assert "| w: stuck, left | can | 7 | it is tilted |" in text
+
+
+@pytest.mark.parametrize("knows", [True, False])
+def test_a_client_that_knows_how_late_its_cell_is_keeps_the_bound_and_another_does_not(models, knows):
+    """Frames that freeze, in a cell whose pictures and arm are late by 165 ms together."""
+    late = {"camera.latency_ms": 90.0, "camera.fps": 60.0, "speed_mm_s": 10.0}
+    job = replace(fits(kind="frozen"), changes=late, unstated={"stop_lag_s": 0.075}, late_s=0.165 if knows else None)
+    row = insert(job, models)
+    assert "unwatched" in row["reason"]
+    assert (row["unseen_mm"] <= row["unseen_allowed_mm"] + 0.01) == knows

@@ -1,0 +1,92 @@
+"""How late a cell's pictures and arm are together, from presses at two speeds in one grasp.
+
+A press ends once the pictures show the gel pressed to a given depth. Pictures that are late show it as it was further
+up, and an arm that is slow to stop goes on. Without the travel that the service knows of, the depth of the standstill
+is a straight line in the speed, and its slope is the lateness of both. The object creeps up in the hand with each
+press; two slow presses in a row show by how much.
+"""
+
+from collections.abc import Sequence
+
+from robot_client.insertion.events import Event, FromService, Standstill
+from robot_client.insertion.limits import LimitError
+from robot_client.insertion.state import Phase, Plan, State
+from service.contract import wire
+from service.contract.frames import Contract
+
+PLACE = (8.0, 8.0)
+"""Error of these presses, mm and deg: a corner of the object stands on one block."""
+FAST = (False, False, False, True, False, False, True)
+"""Which presses are fast. After the first the object sits."""
+SLOW_MM_S, FAST_MM_S, LEAST_RATIO = 4.0, 10.0, 1.5
+
+
+def slow_and_fast(plan: Plan, rate_hz: float) -> tuple[Plan, Plan]:
+    """The slow and the fast press, each at one speed; raises LimitError where they are too close to each other.
+
+    ``rate_hz``: frames a second of the cameras.
+    """
+    fast_mm_s = min(FAST_MM_S, plan.limits.max_descent_speed_mm_s, plan.lease.fastest_mm_s(rate_hz))
+    if fast_mm_s < LEAST_RATIO * SLOW_MM_S:
+        allowed = f"{fast_mm_s:.1f} mm/s, as limits and cameras of {rate_hz:.0f} frames a second allow"
+        raise LimitError(f"presses at {SLOW_MM_S:g} and at {allowed}, do not tell how late pictures and arm are")
+    probe = plan.model_copy(update={"purpose": "probe", "pace": plan.pace.model_copy(update={"fast_mm_s": None})})
+    return probe.at_speed(SLOW_MM_S), probe.at_speed(fast_mm_s)
+
+
+class Stop(Contract):
+    """Where a press ended: ``depth_mm`` below the armed pose.
+
+    ``waited_s``: from the capture of the frame that ordered the stop, by its stamp, to the order. ``pressed_mm``: what
+    that frame showed of the press.
+    """
+
+    speed_mm_s: float
+    depth_mm: float
+    waited_s: float
+    pressed_mm: float
+
+    @property
+    def touch_mm(self) -> float:
+        """Depth of the contact by this press; later than it is by the travel in the lateness."""
+        return self.depth_mm - self.speed_mm_s * self.waited_s - self.pressed_mm
+
+
+class StopWatch:
+    """Observer that keeps the stop of an attempt that ended because it was pressed enough."""
+
+    def __init__(self) -> None:
+        self.stop: Stop | None = None
+        self._ordered: tuple[float, float, float] | None = None
+
+    def on_event(self, state: State, event: Event) -> None:
+        """``event`` has led to ``state``."""
+        if isinstance(event, FromService) and isinstance(event.message, wire.Enough) and state.clock:
+            if state.phase is Phase.STOPPING and self._ordered is None:
+                stamp_s = state.clock.ours_s(event.message.captured_ns, event.at_s) + 0.5 * state.clock.uncertainty_s
+                self._ordered = state.speed_mm_s, event.at_s - stamp_s, event.message.pressed_mm
+        elif isinstance(event, Standstill) and self._ordered and state.armed and self.stop is None:
+            speed_mm_s, waited_s, pressed_mm = self._ordered
+            depth_mm = state.armed.z_mm - event.pose.z_mm
+            self.stop = Stop(speed_mm_s=speed_mm_s, depth_mm=depth_mm, waited_s=waited_s, pressed_mm=pressed_mm)
+
+    def summary(self) -> dict[str, object]:
+        """Empty: the record has the stop."""
+        return {}
+
+
+def late_s(stops: Sequence[Stop]) -> float | None:
+    """How late pictures and arm are together, s; None unless these are the stops of all presses.
+
+    Each fast press after two slow ones gives one value. The larger one counts.
+    """
+    if len(stops) != len(FAST):
+        return None
+    estimates_s = []
+    for index, is_fast in enumerate(FAST):
+        if is_fast:
+            settled, slow, fast = stops[index - 2 : index + 1]
+            crept_mm = slow.touch_mm - settled.touch_mm
+            later_mm = fast.touch_mm - slow.touch_mm - crept_mm
+            estimates_s.append(later_mm / (fast.speed_mm_s - slow.speed_mm_s))
+    return max(0.0, *estimates_s)

@@ -1,0 +1,83 @@
+"""What a commissioning's presses at two speeds tell of the lateness of a cell, in lock step."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robot_client.insertion.limits import LimitError
+from robot_client.session.commission.lateness import FAST, PLACE, StopWatch, late_s, slow_and_fast
+from simulation.closed_loop.client import trip_s
+from simulation.closed_loop.job import Job, job_in
+from simulation.closed_loop.play import models_of, stage
+from simulation.closed_loop.statistics import Row
+from simulation.data.parallel import results
+from simulation.data.progress import progress
+from simulation.scene.scene import Scene, SceneError
+from simulation.scene.state import PhysicsError
+from simulation.scene.worlds import World
+from simulation.studies.wiring import by_corner
+
+
+def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
+    """All presses with an object, in one grasp: measured and true lateness in s, None for one that was not measured.
+
+    ``job``: fields of `Job`. ``robot_s``: time of the robot, including the trip to the fixture and back.
+    """
+    arm = world.unstated
+    start = PLACE[0] * arm.x_sign, PLACE[1] * arm.yaw_sign
+    camera_s = 1e-3 * float(world.changes.get("camera.latency_ms", 0.0))
+    row: Row = {"world": world.name, "late_s": None, "true_late_s": camera_s + arm.stop_lag_s, "robot_s": 0.0}
+    try:
+        insertion = stage(Job(**job_in(world, name, 0, start, seed, purpose="probe", **job)), models_of(models))
+        plans = slow_and_fast(insertion.state.plan, insertion.cell.scene.fps)
+    except (PhysicsError, LimitError):
+        return row
+    stops = []
+    for fast in FAST:
+        watch = StopWatch()
+        insertion.watches = watch.on_event
+        insertion.begin_again(plans[fast])
+        insertion.run()
+        if watch.stop is None:
+            break
+        stops.append(watch.stop)
+    return row | {"late_s": late_s(stops), "robot_s": insertion.seconds.total_s + trip_s(plans[0])}
+
+
+@dataclass(frozen=True)
+class _Timing:
+    world: World
+    name: str
+    seed: int
+    models: Path
+
+
+def _timed(one: _Timing) -> Row:
+    return timed(one.world, one.name, one.seed, one.models)
+
+
+def lateness(worlds: Sequence[World], objects: Mapping[str, Scene], seed: int, models: Path, workers: int) -> list[Row]:
+    """`timed` in each world in which an object can be held, with the one that turns most about its first corner."""
+    todo = []
+    for number, world in enumerate(worlds):
+        for name in by_corner(objects):
+            try:
+                world.around(objects[name])
+            except SceneError:
+                continue
+            todo.append(_Timing(world, name, int(np.random.SeedSequence((seed, number)).generate_state(1)[0]), models))
+            break
+    rows = []
+    with progress("lateness of each world (simulated)", len(todo)) as show:
+        for done, row in enumerate(results(_timed, todo, workers, in_order=True), 1):
+            rows.append(row)
+            show(done)
+    return rows
+
+
+def errors_ms(rows: Sequence[Row]) -> list[float]:
+    """Measured less true lateness of each world in which it was measured."""
+    return [1e3 * (row["late_s"] - row["true_late_s"]) for row in rows if row["late_s"] is not None]

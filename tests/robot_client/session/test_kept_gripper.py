@@ -1,0 +1,52 @@
+"""A gripper that stays connected knows what it holds; one that was left takes itself for idle."""
+
+import asyncio
+
+import pytest
+
+from robot_client.grippers.wsg50.driver import Wsg50
+from robot_client.insertion.events import Grasped, PartLost
+from robot_client.session.commission.kept_gripper import KeptGripper
+from tests.robot_client.grippers.wsg50.test_driver import story
+
+
+@pytest.mark.parametrize("keeps", [True, False])
+def test_the_object_of_one_press_is_known_to_be_held_in_the_next(keeps):
+    async def grasped(cell):
+        kept = KeptGripper(cell.driver) if keeps else cell.driver
+        await kept.start(cell.events.put_nowait)
+        kept.grasp()
+        await cell.until(Grasped)
+        await (kept.close() if keeps else cell.anew())
+        again = kept if keeps else cell.driver
+        await again.start(cell.events.put_nowait)
+        held = again.held
+        if keeps:
+            again.grasp()
+            await cell.until(Grasped)
+        return held
+
+    assert story(grasped) == keeps
+
+
+def test_a_part_that_is_lost_between_two_presses_is_reported_in_the_next():
+    async def lost(cell):
+        kept = KeptGripper(cell.driver)
+        await kept.start(cell.events.put_nowait)
+        kept.grasp()
+        await cell.until(Grasped)
+        await kept.close()
+        while not cell.events.empty():
+            cell.events.get_nowait()
+        cell.board.update({"gripper": {"part_lost": True}})
+        await asyncio.sleep(0.2)
+        assert cell.events.empty(), "nobody listens"
+        await kept.start(cell.events.put_nowait)
+        event = await cell.until(PartLost)
+        await kept.leave()
+        cell.driver = Wsg50(cell.driver.settings)
+        return event, cell.emulator.counters.commands[-1]
+
+    event, last = story(lost)
+    assert isinstance(event, PartLost)
+    assert last.endswith("DISCONNECT"), "only `leave` lets go of the connection"
