@@ -2,7 +2,7 @@
 
 `python -m simulation evaluate` runs the paper's test protocol in lock step: rendered frames go through the service's
 perception, the shipped ONNX files and its controller; the answers go through the client's insertion machine. With
-`client` and `session`, this is the only module of the simulator that imports them.
+`client`, `oracle` and `session`, this is the only module of the simulator that imports them.
 """
 
 from collections import deque
