@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator
 
-from robot_client.cli.insert import make_plan
+from robot_client.cli.insert import make_plan, with_commissioning
 from robot_client.cli.terminal import Outcome, show
 from robot_client.insertion.events import Event, Failure, FromService
 from robot_client.insertion.limits import check_pose
@@ -37,6 +37,7 @@ async def findings_of(settings: Settings) -> AsyncIterator[tuple[str, Finding]]:
     arm, gripper = settings.make_arm(), settings.make_gripper()
     checks: dict[str, Check] = {
         "plan": lambda: _plan(settings),
+        **({"cell": lambda: _commissioned(settings)} if settings.commissioning and not settings.simulated else {}),
         **arm.checks(),
         **gripper.checks(),
         "service": lambda: _service(settings),
@@ -85,6 +86,15 @@ async def _plan(settings: Settings) -> list[Finding]:
     legs = plan.pace.legs(start_mm, bottom.z_mm, probing_mm_s, plan.tops) if plan.pause_s else ()
     way = settings.ramps.in_legs(start_mm, legs) if legs else settings.ramps.profile(plan.approach, bottom, "descend")
     text = f"approach z {start_mm:g} mm, full depth z {bottom.z_mm:g} mm, {way.duration_s:.1f} s down"
+    return [Finding(True, text)]
+
+
+async def _commissioned(settings: Settings) -> list[Finding]:
+    """The record of the commissioning: what it measured must leave the lease long enough."""
+    plan = with_commissioning(settings, make_plan(settings, 0.0, 0.0, "check", None), asked=True)
+    plan.lease.check(plan.ramps.descend.speed_mm_s)
+    late_ms, lasts_ms = 1e3 * plan.lease.stop_lag_s, 1e3 * plan.lasts_s(fast=False)
+    text = f"commissioned; for pictures and arm that are late by {late_ms:.0f} ms the lease lasts {lasts_ms:.0f} ms"
     return [Finding(True, text)]
 
 

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_client.cli.check import findings_of
 from robot_client.cli.insert import with_commissioning
 from robot_client.insertion.events import Standstill
 from robot_client.insertion.lease import Lease
@@ -127,6 +128,22 @@ def test_an_insertion_reckons_with_the_lateness_of_its_commissioning_where_that_
     plan = PLAN.model_copy(update={"lease": Lease(stop_lag_s=set_s)})
     timed_plan = with_commissioning(Settings(commissioning=path), plan, asked=True)
     assert timed_plan.lease.stop_lag_s == pytest.approx(counts_s)
+
+
+@pytest.mark.parametrize(
+    ("late", "good", "says"), [(0.09, True, "late by 90 ms the lease lasts 210 ms"), (0.29, False, "")]
+)
+def test_check_tells_how_late_the_cell_is_and_refuses_one_that_is_too_late(tmp_path, late, good, says):
+    path = tmp_path / "commissioning.json"
+    keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), stops=tuple(stops(late))))
+    real = Settings(commissioning=path)
+
+    async def cell():
+        return [finding async for name, finding in findings_of(real) if name == "cell"]
+
+    (finding,) = asyncio.run(cell())
+    assert finding.good == good
+    assert says in finding.text
 
 
 def test_a_lateness_that_uses_up_the_lease_is_refused_with_the_speed_that_would_do():
