@@ -12,13 +12,14 @@ from robot_client.insertion.limits import check_pose
 from robot_client.insertion.state import Plan, State
 from robot_client.ports import DriverError
 from robot_client.session.commission.kept_gripper import KeptGripper
-from robot_client.session.commission.lateness import FAST, PLACE, StopWatch, slow_and_fast
+from robot_client.session.commission.lateness import FAST, PLACE, slow_and_fast
 from robot_client.session.commission.record import RECORD, Record, read_record
 from robot_client.session.commission.run import FITS, PRESSES, REACH, Commissioning, Ended, errors
 from robot_client.session.commission.wiring import SIDES, probe_of
 from robot_client.session.cycle import CycleSettings, is_empty
 from robot_client.session.recorder import Recorder
 from robot_client.session.runner import Runner, to_the_end
+from robot_client.session.stops import StopWatch
 from robot_client.settings import Settings, SettingsError
 from service.contract import wire
 from service.contract.frames import Finger

@@ -9,12 +9,16 @@ from robot_client.insertion.events import Event, FromService, Grasped, Standstil
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.seconds import Seconds
 from robot_client.insertion.state import Phase, State
+from robot_client.session.stops import StopWatch
 from service.contract import wire
 from service.contract.frames import Contract
 
 
 class AttemptRow(Contract):
-    """One attempt. Depths below the armed pose; ``overtravel_mm`` from the slip message to standstill."""
+    """One attempt. Depths below the armed pose; ``overtravel_mm`` from the slip message to standstill.
+
+    ``pressed_mm``: from the contact to standstill, with the lateness that the motion lease reckons with.
+    """
 
     attempt: int
     x_mm: float = 0.0
@@ -24,6 +28,7 @@ class AttemptRow(Contract):
     slip_finger: str = ""
     stop_depth_mm: float | None = None
     overtravel_mm: float | None = None
+    pressed_mm: float | None = None
     probabilities: dict[str, float] = Field(default_factory=dict)
     confidence: float = 0.0
     estimate: tuple[float, float] | None = None
@@ -44,16 +49,18 @@ class Report:
         self._show = show
         self._phase = Phase.START
         self._stopped_s = 0.0
+        self._watch = StopWatch()
 
     def on_event(self, state: State, event: Event) -> None:
         entered, self._phase = state.phase is not self._phase, state.phase
         self.seconds.on_event(state, event)
+        self._watch.on_event(state, event)
         if isinstance(event, FromService):
             self._on_message(state, event.message, event.at_s)
         elif isinstance(event, Grasped):
             self._show(f"gripper holds the object, width {event.width_mm:.1f} mm")
         elif isinstance(event, Standstill) and self.rows and state.armed is not None:
-            self._on_standstill(state.armed, event)
+            self._on_standstill(state.armed, state.plan.lease.stop_lag_s, event)
         if entered and state.phase is Phase.APPROACHING:
             self._show("approaching")
         if entered and state.phase is Phase.ARMING and state.armed is not None:
@@ -87,11 +94,15 @@ class Report:
             depth_mm = state.armed.z_mm - here.z_mm
             self._update(slip_depth_mm=depth_mm, slip_finger=message.finger)
 
-    def _on_standstill(self, armed: WorkPose, event: Standstill) -> None:
+    def _on_standstill(self, armed: WorkPose, late_s: float, event: Standstill) -> None:
         self._stopped_s = event.at_s
         depth_mm = armed.z_mm - event.pose.z_mm
-        slip_mm = self.rows[-1].slip_depth_mm
-        self._update(stop_depth_mm=depth_mm, overtravel_mm=None if slip_mm is None else depth_mm - slip_mm)
+        slip_mm, stop = self.rows[-1].slip_depth_mm, self._watch.stop
+        self._update(
+            stop_depth_mm=depth_mm,
+            overtravel_mm=None if slip_mm is None else depth_mm - slip_mm,
+            pressed_mm=None if stop is None else stop.past_contact_mm(late_s),
+        )
         if self._phase in (Phase.CLOSING, Phase.FAILED):
             self._show(_attempt_line(self.rows[-1]))
 
@@ -128,6 +139,10 @@ class Report:
         if over:
             mean_mm = sum(over) / len(over)
             lines.append(f"  overtravel  mean {mean_mm:.2f} mm, worst {max(over):.2f} mm after the slip message")
+        pressed = [row.pressed_mm for row in self.rows if row.pressed_mm is not None]
+        if pressed:
+            mean_mm = sum(pressed) / len(pressed)
+            lines.append(f"  pressed     mean {mean_mm:.1f} mm, worst {max(pressed):.1f} mm after the contact")
         waits = sorted(row.decided_after_ms for row in self.rows if row.decided_after_ms is not None)
         if waits:
             median_ms = waits[len(waits) // 2]
@@ -166,6 +181,8 @@ def _attempt_line(row: AttemptRow) -> str:
         parts.append(f"stopped at {row.stop_depth_mm:.2f} mm")
     if row.overtravel_mm is not None:
         parts.append(f"overtravel {row.overtravel_mm:.2f} mm")
+    if row.pressed_mm is not None:
+        parts.append(f"{row.pressed_mm:.1f} mm after contact")
     if row.reason and row.correction is None:
         parts.append(row.reason)
     return ", ".join(parts)

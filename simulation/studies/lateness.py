@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from robot_client.insertion.limits import LimitError
-from robot_client.session.commission.lateness import FAST, PLACE, StopWatch, late_s, slow_and_fast
+from robot_client.session.commission.lateness import FAST, PLACE, late_s, slow_and_fast
+from robot_client.session.stops import StopWatch
 from simulation.closed_loop.client import trip_s
 from simulation.closed_loop.job import Job, job_in
 from simulation.closed_loop.play import models_of, stage

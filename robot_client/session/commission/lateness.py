@@ -8,11 +8,9 @@ press; two slow presses in a row show by how much.
 
 from collections.abc import Sequence
 
-from robot_client.insertion.events import Event, FromService, Standstill
 from robot_client.insertion.limits import LimitError
-from robot_client.insertion.state import Phase, Plan, State
-from service.contract import wire
-from service.contract.frames import Contract
+from robot_client.insertion.state import Plan
+from robot_client.session.stops import Stop
 
 PLACE = (8.0, 8.0)
 """Error of these presses, mm and deg: a corner of the object stands on one block."""
@@ -32,47 +30,6 @@ def slow_and_fast(plan: Plan, rate_hz: float) -> tuple[Plan, Plan]:
         raise LimitError(f"presses at {SLOW_MM_S:g} and at {allowed}, do not tell how late pictures and arm are")
     probe = plan.model_copy(update={"purpose": "probe", "pace": plan.pace.model_copy(update={"fast_mm_s": None})})
     return probe.at_speed(SLOW_MM_S), probe.at_speed(fast_mm_s)
-
-
-class Stop(Contract):
-    """Where a press ended: ``depth_mm`` below the armed pose.
-
-    ``waited_s``: from the capture of the frame that ordered the stop, by its stamp, to the order. ``pressed_mm``: what
-    that frame showed of the press.
-    """
-
-    speed_mm_s: float
-    depth_mm: float
-    waited_s: float
-    pressed_mm: float
-
-    @property
-    def touch_mm(self) -> float:
-        """Depth of the contact by this press; later than it is by the travel in the lateness."""
-        return self.depth_mm - self.speed_mm_s * self.waited_s - self.pressed_mm
-
-
-class StopWatch:
-    """Observer that keeps the stop of an attempt that ended because it was pressed enough."""
-
-    def __init__(self) -> None:
-        self.stop: Stop | None = None
-        self._ordered: tuple[float, float, float] | None = None
-
-    def on_event(self, state: State, event: Event) -> None:
-        """``event`` has led to ``state``."""
-        if isinstance(event, FromService) and isinstance(event.message, wire.Enough) and state.clock:
-            if state.phase is Phase.STOPPING and self._ordered is None:
-                stamp_s = state.clock.ours_s(event.message.captured_ns, event.at_s) + 0.5 * state.clock.uncertainty_s
-                self._ordered = state.speed_mm_s, event.at_s - stamp_s, event.message.pressed_mm
-        elif isinstance(event, Standstill) and self._ordered and state.armed and self.stop is None:
-            speed_mm_s, waited_s, pressed_mm = self._ordered
-            depth_mm = state.armed.z_mm - event.pose.z_mm
-            self.stop = Stop(speed_mm_s=speed_mm_s, depth_mm=depth_mm, waited_s=waited_s, pressed_mm=pressed_mm)
-
-    def summary(self) -> dict[str, object]:
-        """Empty: the record has the stop."""
-        return {}
 
 
 def late_s(stops: Sequence[Stop]) -> float | None:

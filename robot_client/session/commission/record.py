@@ -8,8 +8,9 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
-from robot_client.session.commission.lateness import Stop, late_s
+from robot_client.session.commission.lateness import late_s
 from robot_client.session.commission.wiring import SIDES, Probe, mistakes
+from robot_client.session.stops import Stop
 from service.contract.frames import Contract, ContractError, Finger, first_error
 
 RECORD = "commissioning.json"

@@ -15,9 +15,10 @@ from typing import NamedTuple
 
 from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
-from robot_client.session.commission.lateness import FAST, PLACE, Stop
+from robot_client.session.commission.lateness import FAST, PLACE
 from robot_client.session.commission.record import Record, keep_record
 from robot_client.session.commission.wiring import SIDES, Probe, mistakes
+from robot_client.session.stops import Stop
 from service.contract.frames import Finger
 
 PRESSES = ((0.0, 15.0), (0.0, -15.0))

@@ -12,9 +12,10 @@ from robot_client.insertion.events import Standstill
 from robot_client.insertion.lease import Lease
 from robot_client.insertion.limits import LimitError
 from robot_client.insertion.state import State
-from robot_client.session.commission.lateness import FAST, PLACE, Stop, StopWatch, late_s, slow_and_fast
+from robot_client.session.commission.lateness import FAST, PLACE, late_s, slow_and_fast
 from robot_client.session.commission.record import Record, keep_record, read_record
 from robot_client.session.commission.wiring import SIDES
+from robot_client.session.stops import Stop, StopWatch
 from robot_client.settings import Settings
 from service.contract import wire
 from tests.robot_client.insertion.stories import APPROACH, ID, PLAN, TO_DESCENT, at, run, service
@@ -60,6 +61,7 @@ def test_a_press_is_kept_with_its_speed_its_age_and_where_the_arm_stood():
     assert watch.stop.speed_mm_s == 10.0
     assert watch.stop.waited_s == pytest.approx(0.02, abs=1e-3)
     assert (watch.stop.pressed_mm, watch.stop.depth_mm) == (0.8, 7.5)
+    assert watch.stop.past_contact_mm(0.05) == pytest.approx(0.8 + 10.0 * 0.07, abs=0.01)
 
 
 @pytest.mark.parametrize(("rate_hz", "fast"), [(60.0, 10.0), (15.0, 9.375)])
