@@ -104,7 +104,7 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
         grip_n=plan.grip_n,
         shear_reach_mm=plan.shear_reach_mm,
         press_mm=plan.pace.press_mm,
-        until_slip=plan.until_slip and plan.purpose == "probe",
+        until_slip=plan.until_slip and plan.only_probes,
         tilt_deg=target.tilt_deg,
         tops_level_mm=plan.tops_level_mm if plan.signs_known else None,
     )

@@ -155,14 +155,14 @@ def _on_standstill(state: State, event: Standstill) -> Result:
     if outcome == "blocked" and state.attempt >= plan.limits.max_attempts:
         state, commands = fail(state, "client", "attempts", f"not inserted after {state.attempt} attempts")
         return state, (stopped, *commands)
-    if plan.purpose == "probe" and outcome == "inserted":  # no contact, so there is nothing to report
+    if plan.only_probes and outcome == "inserted":  # no contact, so there is nothing to report
         return lift(state, event.at_s)
     phase, wait_s = (Phase.CLOSING, plan.timeouts.closing_s) if inserted else (Phase.DECIDING, plan.timeouts.deciding_s)
     return replace(state, phase=phase, deadline_s=event.at_s + wait_s), (stopped,)
 
 
 def _on_retracted(state: State, event: Arrived) -> Result:
-    if state.plan.purpose == "probe":
+    if state.plan.only_probes:
         return probed(state)
     assert state.armed is not None
     state = replace(state, armed=state.path[0].at_height(state.armed.z_mm))  # the vertical of the next attempt
@@ -278,7 +278,7 @@ def _on_attempt_message(state: State, message: wire.AttemptMessage, at_s: float)
 
 def _on_correction(state: State, message: wire.Correction, at_s: float) -> Result:
     """Applied once: the phase leaves DECIDING with it, so a repeated correction finds nothing to do."""
-    if state.plan.purpose == "probe":
+    if state.plan.only_probes:
         return lift(state, at_s)
     try:
         age_s = at_s - state.stopped_s
@@ -290,7 +290,7 @@ def _on_correction(state: State, message: wire.Correction, at_s: float) -> Resul
 
 def _on_no_decision(state: State, message: wire.NoDecision, at_s: float) -> Result:
     """Probe the same spot again, the only motion without a guess; not for ever, and never in a miswired cell."""
-    if state.plan.purpose == "probe":
+    if state.plan.only_probes:
         return lift(state, at_s)
     count = state.no_decisions + 1
     if message.reason in {"non_finite", "contradictory"} or count > state.plan.max_no_decisions:

@@ -89,7 +89,7 @@ class Plan(Contract):
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)
     max_no_decisions: int = 2
     no_decisions: int = 0
-    purpose: Literal["insert", "probe"] = "insert"
+    purpose: Literal["insert", "probe", "timing"] = "insert"
     until_slip: bool = False
     client: str = "tactile-insertion robot client"
     object: str = Field(default="", max_length=128)
@@ -118,6 +118,11 @@ class Plan(Contract):
         self.pace.check(self.limits)
         if self.pace.fast_mm_s is not None:
             self.fast_lease.check(self.pace.fast_mm_s)
+
+    @property
+    def only_probes(self) -> bool:
+        """Whether it ends with its first decision: for a probe, and for a press that times the cell."""
+        return self.purpose != "insert"
 
     @property
     def most_tilt_deg(self) -> float:

@@ -192,11 +192,12 @@ class Episode(InsertionMessage):
     """The task, for the recording: sent once after `hello`, never answered.
 
     ``start`` is the pose of the arm, ``approach`` the pose above the gap from which the first attempt descends. A probe
-    approaches with a known error and is not meant to insert: its ``approach`` is that error.
+    approaches with a known error and is not meant to insert: its ``approach`` is that error. A press that times the
+    cell (``timing``) begins like a probe, but with an object that earlier ones have pushed: nothing is learnt from it.
     """
 
     type: Literal["episode"] = "episode"
-    purpose: Literal["insert", "probe"] = "insert"
+    purpose: Literal["insert", "probe", "timing"] = "insert"
     object: str = Field(default="", max_length=128)
     start: ToolPose
     approach: ToolPose

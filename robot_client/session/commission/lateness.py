@@ -28,8 +28,8 @@ def slow_and_fast(plan: Plan, rate_hz: float) -> tuple[Plan, Plan]:
     if fast_mm_s < LEAST_RATIO * SLOW_MM_S:
         allowed = f"{fast_mm_s:.1f} mm/s, as limits and cameras of {rate_hz:.0f} frames a second allow"
         raise LimitError(f"presses at {SLOW_MM_S:g} and at {allowed}, do not tell how late pictures and arm are")
-    probe = plan.model_copy(update={"purpose": "probe", "pace": plan.pace.model_copy(update={"fast_mm_s": None})})
-    return probe.at_speed(SLOW_MM_S), probe.at_speed(fast_mm_s)
+    press = plan.model_copy(update={"purpose": "timing", "pace": plan.pace.model_copy(update={"fast_mm_s": None})})
+    return press.at_speed(SLOW_MM_S), press.at_speed(fast_mm_s)
 
 
 def late_s(stops: Sequence[Stop]) -> float | None:

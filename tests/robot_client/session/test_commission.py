@@ -40,10 +40,12 @@ from tests.robot_client.session.test_wiring import answers, felt
 PROBE = State(PLAN.model_copy(update={"purpose": "probe"}))
 
 
+@pytest.mark.parametrize("purpose", ["probe", "timing"])
 @pytest.mark.parametrize("answer", [correction(1), no_decision(1), no_decision(1, "contradictory")])
-def test_a_probe_goes_straight_up_after_whatever_was_decided_and_ends_there(answer):
-    _, before = run(TO_DECISION, PROBE)
-    state, commands = run([*TO_DECISION, service(answer), at(APPROACH)], PROBE)
+def test_a_probe_goes_straight_up_after_whatever_was_decided_and_ends_there(answer, purpose):
+    begun = State(PLAN.model_copy(update={"purpose": purpose}))
+    _, before = run(TO_DECISION, begun)
+    state, commands = run([*TO_DECISION, service(answer), at(APPROACH)], begun)
     moves = [c.target for c in commands[len(before) :] if isinstance(c, Move)]
     assert (state.phase, moves) == (Phase.PROBED, [APPROACH])
     assert isinstance(commands[-1], Send)

@@ -54,7 +54,7 @@ def test_the_larger_of_both_values_counts_and_none_is_negative():
 def test_a_press_is_kept_with_its_speed_its_age_and_where_the_arm_stood():
     enough = wire.Enough(insertion_id=ID, attempt=1, frame_seq=3, captured_ns=30_000_000, pressed_mm=0.8)
     still = APPROACH.at_height(APPROACH.z_mm - 7.5)
-    watch, state = StopWatch(), State(PLAN.model_copy(update={"purpose": "probe"}))
+    watch, state = StopWatch(), State(PLAN.model_copy(update={"purpose": "timing"}))
     for event in [*TO_DESCENT, service(enough, 0.05), at(still, Standstill)]:
         state, _ = run([event], state)
         watch.on_event(state, event)
@@ -70,7 +70,7 @@ def test_the_fast_press_is_as_fast_as_cameras_and_limits_allow(rate_hz, fast):
     slow, quick = slow_and_fast(legs, rate_hz)
     assert [plan.ramps.descend.speed_mm_s for plan in (slow, quick)] == [4.0, pytest.approx(fast)]
     assert {plan.pace.fast_mm_s for plan in (slow, quick)} == {None}
-    assert {plan.purpose for plan in (slow, quick)} == {"probe"}
+    assert {plan.purpose for plan in (slow, quick)} == {"timing"}, "nothing is learnt from them"
     narrow = PLAN.model_copy(update={"limits": PLAN.limits.model_copy(update={"max_descent_speed_mm_s": 5.0})})
     with pytest.raises(LimitError, match="do not tell how late"):
         slow_and_fast(narrow, rate_hz)

@@ -88,6 +88,7 @@ def test_errors_are_those_told_of_probes_and_the_moves_that_were_left_of_inserti
     moves = [{"dx_mm": -4.0, "dtheta_deg": 2.0}, {"dx_mm": -1.0, "dtheta_deg": 0.5}]
     keep(tmp_path / "b", list(zip(shown, moves, strict=False)), "insert", "inserted", 5.5, -2.0)
     keep(tmp_path / "c", [(shown[0], blank)], "insert", "failed", 5.5, -2.0)
+    keep(tmp_path / "d", [(shown[0], blank)], "timing", "failed", 8.0, 8.0)
     read = read_episodes(tmp_path, Sensor.load())
     assert read.error.tolist() == [[-7.0, 3.0], [5.0, -2.5], [1.0, -0.5]]
     assert read.length.tolist() == [8, 8, 8]
