@@ -28,7 +28,7 @@ RATE_HZ = 30.0  # of cameras that have not told theirs
 
 
 def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out: Path, presses: bool) -> Outcome:
-    """Probe for signs, then ``probes_n`` times to learn from; done if no mistake was named. Raises DriverError.
+    """Probe ``probes_n`` times to learn from, first for signs; done if no mistake was named. Raises DriverError.
 
     ``presses``: also press until the gel slides, see `Commissioning`.
     """
@@ -51,13 +51,13 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
 
 
 def _rehearse(probes_n: int, path: Path, record: Record | None, *, presses: bool) -> Outcome:
-    done_n = 0 if record is None else len(record.probes)
+    done_n = len(SIDES) if record is None else max(len(SIDES), record.labelled_n)
     steps = [
         "put the object into the fixture and regrasp it, before each probe",
         f"probe at {_places(SIDES)}: are the signs right?",
         f"press {len(FAST)} times at {_places((PLACE,))}, at two speeds: how late are pictures and arm?",
         *([f"press at {_places(PRESSES)} until the gel slides"] if presses else []),
-        f"{probes_n - done_n} probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
+        f"{max(0, probes_n - done_n)} more probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
         f"keep what was seen in {path} after each",
     ]
     return rehearsed("would:", steps)
@@ -150,9 +150,9 @@ async def _commission(probing: Probing, probes_n: int, path: Path, record: Recor
         show(f"MISTAKE  {cause}")
     if record.late_s is not None:
         show(f"pictures and arm are late by {record.late_s * 1e3:.0f} ms together; `insert` reckons with at least that")
-    if len(record.probes) >= probes_n and not reason:
-        show(f"{len(record.probes)} probes done. The service's recordings hold them; to learn from them:")
+    if record.labelled_n >= probes_n and not reason:
+        show(f"{record.labelled_n} probes done. The service's recordings hold them; to learn from them:")
         show("  tactile-insertion adapt RECORDINGS --from models/pressing/checkpoint.pt --out models/adapted")
     show(f"record: {path}")
-    result = {"named": list(record.named), "probes": len(record.probes), "record": str(path), "reason": reason}
+    result = {"named": list(record.named), "probes": record.labelled_n, "record": str(path), "reason": reason}
     return Outcome(not record.named and not reason, result)

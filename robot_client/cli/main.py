@@ -120,7 +120,7 @@ def _mode(parser: argparse.ArgumentParser) -> None:
 
 def _commissioning(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--probes", type=int, default=150, metavar="N", help="probes to learn from, after four of wiring"
+        "--probes", type=int, default=150, metavar="N", help="probes to learn from, four of wiring included"
     )
     parser.add_argument("--presses", action="store_true", help="also press until the gel slides, to identify it")
     parser.add_argument("--seed", type=int, default=0, help="seed of a new record's known errors (default 0)")

@@ -50,7 +50,7 @@ class Options:
     mistakes: bool = False
     """also run each world's wiring check with each mistake of a first day"""
     probes: int = 150
-    """probes of known error in each world; 0: only the four of the wiring check"""
+    """probes of known error in each world, the four of the wiring check included; 0: only those"""
     around: int = 300
     """simulated presses around what is known of the cell (its objects, grip and height); 0: none"""
     work: int = 50

@@ -36,7 +36,8 @@ COUNTED = (
     *("direction_right", "direction_n", "mae_x_mm", "mae_theta_deg", "covered_x", "covered_theta"),
     *("mean_trials", "inserted", "insertions", "claimed_wrongly"),
 )
-VERSIONS = ("released", "after_50", "after_150", "after_work")
+AFTER_WORK = "after_work"
+VERSIONS = ("released", "after_50", "after_150", AFTER_WORK)
 PROBES, WORK, SCORING = 1, 2, 3
 FEW = 50
 REFUSED, STAYS = 2, 3
@@ -104,8 +105,9 @@ class Cell:
 class Plan:
     """How much a cell learns from and is evaluated on; ``checkpoint``: the release to adapt.
 
-    With 0 ``probes`` only the wiring check is run; with 0 ``work`` nothing is learnt from work; with 0 ``around``
-    nothing from presses simulated around the known parameters of the cell.
+    The wiring check's four are the first of the ``probes``. With 0 ``probes`` only the wiring check is run; with 0
+    ``work`` nothing is learnt from work; with 0 ``around`` nothing from presses simulated around the known parameters
+    of the cell.
     """
 
     checkpoint: Path
@@ -127,18 +129,20 @@ def commission(cell: Cell, plan: Plan) -> Row:
         signs = _played(cell, plan, f"signs-{number}", jobs, in_order=True)
         if carried_out(signs):
             break
+    labelled = [cell.folder / f"signs-{number}" / f"{index:05d}" for index in range(len(signs))]
     row: Row = {"world": cell.world.name, "mistakes_named": named_mistakes(signs), "signs_told": carried_out(signs)}
     if row["mistakes_named"] or not plan.probes:
         row |= {name: {**dict.fromkeys(COUNTED, 0), **dict.fromkeys(COUNTED[2:7])} for name in VERSIONS}
         return {**row, "robot_minutes": _minutes(signs), "adapt_s": 0.0, "accepted": False, "verdicts": {}}
-    probes = _played(cell, plan, "probes", cell.probes(plan.probes))
+    probes = _played(cell, plan, "probes", cell.probes(max(0, plan.probes - len(signs))))
+    labelled += [cell.folder / "probes" / f"{index:05d}" for index in range(len(probes))]
     if plan.work:
         _played(cell, plan, "work", cell.jobs(plan.work, WORK))
     around_s = _pressed_around(cell, plan) if plan.around else 0.0
     row["released"] = _scored(cell, plan, "released", plan.models)
     outcomes = {}
-    for name, (source, count) in _lessons(plan).items():
-        outcomes[name], models = _adapted(cell, plan, name, source, count)
+    for name, episodes in _lessons(cell, plan, labelled).items():
+        outcomes[name], models = _adapted(cell, plan, name, episodes)
         row[name] = row["released"] if models is None else _scored(cell, plan, name, models)
     return {
         "after_150": row["after_50"],
@@ -151,13 +155,13 @@ def commission(cell: Cell, plan: Plan) -> Row:
     }
 
 
-def _lessons(plan: Plan) -> dict[str, tuple[str, int]]:
-    """The source of each version's training, and its number of episodes."""
-    lessons = {"after_50": ("probes", min(FEW, plan.probes))}
-    if plan.probes > FEW:
-        lessons["after_150"] = ("probes", plan.probes)
+def _lessons(cell: Cell, plan: Plan, labelled: Sequence[Path]) -> dict[str, Sequence[Path]]:
+    """The episodes that each version learns from; ``labelled``: those of known error, the wiring check's first."""
+    lessons = {"after_50": labelled[:FEW]}
+    if len(labelled) > FEW:
+        lessons["after_150"] = labelled
     if plan.work:
-        lessons["after_work"] = ("work", plan.work)
+        lessons[AFTER_WORK] = [cell.folder / "work" / f"{index:05d}" for index in range(plan.work)]
     return lessons
 
 
@@ -209,8 +213,8 @@ def _scored(cell: Cell, plan: Plan, name: str, models: Path) -> Row:
     return {key: counted[key] for key in COUNTED}
 
 
-def _adapted(cell: Cell, plan: Plan, name: str, source: str, count: int) -> tuple[Row, Path | None]:
-    """The verdict of ``training adapt`` on the first ``count`` episodes, and the new networks' folder if accepted."""
+def _adapted(cell: Cell, plan: Plan, name: str, episodes: Sequence[Path]) -> tuple[Row, Path | None]:
+    """The verdict of ``training adapt`` on these episodes, and the new networks' folder if accepted."""
     shown, run = cell.folder / f"{name}-episodes", cell.folder / name
     kept, models, began = run / "verdict.json", run / "models", time.monotonic()
     if not kept.exists():
@@ -218,11 +222,11 @@ def _adapted(cell: Cell, plan: Plan, name: str, source: str, count: int) -> tupl
         shutil.rmtree(run, ignore_errors=True)
         shown.mkdir(parents=True)
         run.mkdir(parents=True)
-        for index in range(count):
-            (shown / f"{index:05d}").symlink_to((cell.folder / source / f"{index:05d}").resolve())
+        for index, episode in enumerate(episodes):
+            (shown / f"{index:05d}").symlink_to(episode.resolve())
         answer = run / "told.json"
         words = [str(shown), "--from", str(plan.checkpoint), "--out", str(run), "--json", str(answer)]
-        words += ["--around", str(cell.folder / "around")] if plan.around and source == "probes" else []
+        words += ["--around", str(cell.folder / "around")] if plan.around and name != AFTER_WORK else []
         refused = _call("training", "adapt", *words)
         outcome: Row = {"accepted": False, "best": "released", "objections": [refused], "samples_n": 0}
         if answer.exists():

@@ -36,6 +36,11 @@ class Record(Contract):
     sha256: str = ""
 
     @property
+    def labelled_n(self) -> int:
+        """Number of probes to learn from: those of the wiring check have a known error like the others."""
+        return len(self.signs) + len(self.probes)
+
+    @property
     def late_s(self) -> float | None:
         """How late pictures and arm are together, s; None if it was not measured."""
         return late_s(self.stops)

@@ -73,7 +73,10 @@ class Commissioning:
     _began_s: float = field(default_factory=time.monotonic)
 
     async def run(self, probes_n: int) -> Record:
-        """Wiring check first; if it fails nothing else is done. Raises DriverError if the cell fails or is stopped."""
+        """Wiring check first; if it fails nothing else is done. Its four probes are the first of ``probes_n``.
+
+        Raises DriverError if the cell fails or is stopped.
+        """
         try:
             while len(self.record.signs) < len(SIDES):
                 number = len(self.record.signs)
@@ -87,9 +90,9 @@ class Commissioning:
                 title = f"press {number + 1} of {len(PRESSES)}"
                 done = await self._probe(title, *PRESSES[number], self.press)
                 self._keep(presses=(*self.record.presses, done))
-            while not self.record.named and len(self.record.probes) < probes_n:
-                number = len(self.record.probes)
-                done = await self._probe(f"probe {number + 1} of {probes_n}{self._left(probes_n)}", *self.draw(number))
+            while not self.record.named and self.record.labelled_n < probes_n:
+                title = f"probe {self.record.labelled_n + 1} of {probes_n}{self._left(probes_n)}"
+                done = await self._probe(title, *self.draw(len(self.record.probes)))
                 self._keep(probes=(*self.record.probes, done))
         except asyncio.CancelledError:
             raise DriverError(
@@ -132,10 +135,10 @@ class Commissioning:
         return ended
 
     def _left(self, probes_n: int) -> str:
-        done_n = len(self.record.probes) + len(self.record.signs)
+        done_n = self.record.labelled_n
         if done_n <= len(SIDES):
             return ""
-        left_s = (time.monotonic() - self._began_s) / done_n * (probes_n + len(SIDES) - done_n)
+        left_s = (time.monotonic() - self._began_s) / done_n * (probes_n - done_n)
         return f", {left_s / 60.0:.0f} min left" if left_s > 90.0 else ""
 
     def _keep(self, **changed: object) -> None:

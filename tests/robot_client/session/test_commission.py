@@ -101,11 +101,11 @@ def commissioning(cell, path, record=None):
 
 def test_it_goes_on_where_it_was_broken_off_and_loses_the_probe_under_way(tmp_path):
     path, whole, broken = tmp_path / "record.json", Cell(), Cell(fails_at=8)
-    asyncio.run(commissioning(whole, tmp_path / "whole.json").run(6))
-    with pytest.raises(DriverError, match=r"probe 4 of 6.*tilt"):
-        asyncio.run(commissioning(broken, path).run(6))
-    record = asyncio.run(commissioning(broken, path, read_record(path)).run(6))
-    assert len(record.probes) == 6
+    asyncio.run(commissioning(whole, tmp_path / "whole.json").run(10))
+    with pytest.raises(DriverError, match=r"probe 8 of 10.*tilt"):
+        asyncio.run(commissioning(broken, path).run(10))
+    record = asyncio.run(commissioning(broken, path, read_record(path)).run(10))
+    assert (len(record.signs), len(record.probes), record.labelled_n) == (4, 6, 10)
     assert broken.probed[:7] + broken.probed[8:] == whole.probed
     assert whole.fetched_n == len(whole.probed)
 
@@ -151,14 +151,14 @@ def test_a_kill_at_any_point_loses_no_probe_that_was_kept(least_n, tmp_path):
     process = subprocess.Popen([sys.executable, "-c", ENDLESS, str(path)])
     try:
         until_s = time.monotonic() + 60.0
-        while (record := read_record(path)) is None or len(record.signs) + len(record.probes) < least_n:
+        while (record := read_record(path)) is None or record.labelled_n < least_n:
             assert process.poll() is None
             assert time.monotonic() < until_s
     finally:
         process.kill()
         process.wait()
     record = read_record(path)
-    total = max(len(record.probes), 1)
+    total = max(record.labelled_n, len(SIDES) + 1)
     record = asyncio.run(commissioning(Cell(), path, record).run(total))
     asyncio.run(commissioning(whole, tmp_path / "whole.json").run(total))
     probed = [(probe.x_mm, probe.theta_deg) for probe in (*record.signs, *record.probes)]
@@ -176,10 +176,10 @@ def test_nothing_goes_on_in_a_cell_with_the_wrong_signs(tmp_path):
 
 def test_a_gel_that_is_changed_on_the_way_ends_it(tmp_path):
     cell = Cell()
-    record = asyncio.run(commissioning(cell, tmp_path / "record.json").run(1))
+    record = asyncio.run(commissioning(cell, tmp_path / "record.json").run(5))
     cell.gels = {"left": "a", "right": "c"}
     with pytest.raises(DriverError, match="gel was changed"):
-        asyncio.run(commissioning(cell, tmp_path / "record.json", record).run(2))
+        asyncio.run(commissioning(cell, tmp_path / "record.json", record).run(6))
 
 
 def camera(gel):

@@ -93,7 +93,7 @@ class Pressed(Cell):
 def timed(cell, path, record=None):
     running = commissioning(cell, path, record)
     running.press_at = cell.press_at
-    return asyncio.run(running.run(2))
+    return asyncio.run(running.run(6))
 
 
 def test_the_presses_follow_the_signs_once_and_in_one_grasp(tmp_path):

@@ -78,7 +78,7 @@ def test_an_adapted_network_that_cannot_be_exported_is_refused_and_the_cell_goes
     monkeypatch.setattr(commissioning, "_call", adapt_accepts)
     cell = Cell(World("cell"), load_objects(OBJECTS), tmp_path / "cell", 3)
     plan = Plan(released_models() / "checkpoint.pt", released_models(), 0, 1, workers=1)
-    outcome, models = commissioning._adapted(cell, plan, "after_50", "probes", 0)
+    outcome, models = commissioning._adapted(cell, plan, "after_50", [])
     assert models is None
     assert not outcome["accepted"]
     assert "never validated" in outcome["objections"][0]
