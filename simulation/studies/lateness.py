@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from robot_client.insertion.limits import LimitError
-from robot_client.session.commission.lateness import FAST, PLACE, late_s, slow_and_fast
-from robot_client.session.stops import StopWatch
+from robot_client.session.commission.lateness import FAST, PLACE, goes_on, late_s, slow_and_fast
+from robot_client.session.stops import Stop, StopWatch
 from simulation.closed_loop.client import trip_s
 from simulation.closed_loop.job import Job, job_in
 from simulation.closed_loop.play import models_of, stage
@@ -36,11 +36,11 @@ def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
         plans = slow_and_fast(insertion.state.plan, insertion.cell.scene.fps)
     except (PhysicsError, LimitError):
         return row
-    stops = []
-    for fast in FAST:
+    stops: list[Stop] = []
+    while goes_on(stops):
         watch = StopWatch()
         insertion.watches = watch.on_event
-        insertion.begin_again(plans[fast])
+        insertion.begin_again(plans[FAST[len(stops)]])
         insertion.run()
         if watch.stop is None:
             break

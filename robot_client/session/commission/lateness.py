@@ -17,6 +17,7 @@ PLACE = (8.0, 8.0)
 FAST = (False, False, False, True, False, False, True)
 """Which presses are fast. After the first the object sits."""
 SLOW_MM_S, FAST_MM_S, LEAST_RATIO = 4.0, 10.0, 1.5
+SLIDES_MM = 0.3  # an object that a slow press pushes up by more slides in the hand: one fast press must do
 
 
 def slow_and_fast(plan: Plan, rate_hz: float) -> tuple[Plan, Plan]:
@@ -33,17 +34,23 @@ def slow_and_fast(plan: Plan, rate_hz: float) -> tuple[Plan, Plan]:
 
 
 def late_s(stops: Sequence[Stop]) -> float | None:
-    """How late pictures and arm are together, s; None unless these are the stops of all presses.
+    """How late pictures and arm are together, s; None before the first fast press.
 
     Each fast press after two slow ones gives one value. The larger one counts.
     """
-    if len(stops) != len(FAST):
-        return None
     estimates_s = []
-    for index, is_fast in enumerate(FAST):
+    for index, (is_fast, _) in enumerate(zip(FAST, stops, strict=False)):
         if is_fast:
             settled, slow, fast = stops[index - 2 : index + 1]
             crept_mm = slow.touch_mm - settled.touch_mm
             later_mm = fast.touch_mm - slow.touch_mm - crept_mm
             estimates_s.append(later_mm / (fast.speed_mm_s - slow.speed_mm_s))
-    return max(0.0, *estimates_s)
+    return max(0.0, *estimates_s) if estimates_s else None
+
+
+def goes_on(stops: Sequence[Stop]) -> bool:
+    """Whether another press follows these: not after all, nor after a fast one if the object slides in the hand."""
+    if len(stops) == len(FAST):
+        return False
+    slid_mm = abs(stops[-2].touch_mm - stops[-3].touch_mm) if stops and FAST[len(stops) - 1] else 0.0
+    return slid_mm <= SLIDES_MM

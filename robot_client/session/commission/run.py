@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
-from robot_client.session.commission.lateness import FAST, PLACE
+from robot_client.session.commission.lateness import FAST, PLACE, goes_on, late_s
 from robot_client.session.commission.record import Record, keep_record
 from robot_client.session.commission.wiring import SIDES, Probe, mistakes
 from robot_client.session.stops import Stop
@@ -101,17 +101,21 @@ class Commissioning:
         return self.record
 
     async def _stops(self, press_at: Callable[[float, float, bool], Awaitable[Ended]]) -> tuple[Stop, ...]:
-        """Stops of the presses at two speeds, all in one grasp; none unless each was pressed enough."""
+        """Stops of the presses at two speeds, all in one grasp, up to one that was not stopped by what was pressed."""
         await self.fetch()
-        stops = []
-        for number, fast in enumerate(FAST, 1):
+        stops: list[Stop] = []
+        while goes_on(stops):
+            number, fast = len(stops) + 1, FAST[len(stops)]
             title = f"{'fast' if fast else 'slow'} press {number} of {len(FAST)}"
             done = self._checked(title, await press_at(*PLACE, fast))
             if done.stop is None:
-                self.show(f"{title}: not stopped by what was pressed; HOW LATE pictures and arm are IS NOT KNOWN")
-                return ()
+                self.show(f"{title}: not stopped by what was pressed")
+                break
             self.show(f"{title}: stopped at {done.stop.depth_mm:.2f} mm")
             stops.append(done.stop)
+        if late_s(stops) is None:
+            self.show("HOW LATE pictures and arm are IS NOT KNOWN: see lease.stop_lag_s")
+            return ()
         return tuple(stops)
 
     async def _probe(

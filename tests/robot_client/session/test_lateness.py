@@ -12,7 +12,7 @@ from robot_client.insertion.events import Standstill
 from robot_client.insertion.lease import Lease
 from robot_client.insertion.limits import LimitError
 from robot_client.insertion.state import State
-from robot_client.session.commission.lateness import FAST, PLACE, late_s, slow_and_fast
+from robot_client.session.commission.lateness import FAST, PLACE, goes_on, late_s, slow_and_fast
 from robot_client.session.commission.record import Record, keep_record, read_record
 from robot_client.session.commission.wiring import SIDES
 from robot_client.session.stops import Stop, StopWatch
@@ -48,7 +48,15 @@ def test_the_larger_of_both_values_counts_and_none_is_negative():
     later = made[-1].model_copy(update={"depth_mm": made[-1].depth_mm + 0.12})
     assert late_s([*made[:-1], later]) == pytest.approx(0.07)
     assert late_s(stops(-0.05)) == 0.0
-    assert late_s(made[:-1]) is None
+    assert late_s(made[:-1]) == pytest.approx(0.05), "one fast press will do"
+    assert late_s(made[:3]) is late_s([]) is None
+
+
+def test_an_object_that_slides_in_the_hand_is_pressed_fast_once():
+    firm, slides = stops(0.05, crept_mm=0.1), stops(0.05, crept_mm=0.8)
+    assert [goes_on(firm[:number]) for number in range(8)] == [True] * 7 + [False]
+    assert [goes_on(slides[:number]) for number in range(5)] == [True] * 4 + [False]
+    assert late_s(slides[:4]) == pytest.approx(0.05)
 
 
 def test_a_press_is_kept_with_its_speed_its_age_and_where_the_arm_stood():
