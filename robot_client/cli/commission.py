@@ -55,7 +55,7 @@ def _rehearse(probes_n: int, path: Path, record: Record | None, *, presses: bool
     steps = [
         "put the object into the fixture and regrasp it, before each probe",
         f"probe at {_places(SIDES)}: are the signs right?",
-        f"press {len(FAST)} times at {_places((PLACE,))}, at two speeds: how late are pictures and arm?",
+        f"press {len(FAST) + 1} times at {_places((PLACE,))}, at two speeds: how late are pictures and arm?",
         *([f"press at {_places(PRESSES)} until the gel slides"] if presses else []),
         f"{max(0, probes_n - done_n)} more probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
         f"keep what was seen in {path} after each",

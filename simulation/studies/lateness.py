@@ -37,6 +37,8 @@ def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
     except (PhysicsError, LimitError):
         return row
     stops: list[Stop] = []
+    insertion.begin_again(plans[FAST[0]])
+    insertion.run()
     while goes_on(stops):
         watch = StopWatch()
         insertion.watches = watch.on_event

@@ -14,8 +14,8 @@ from robot_client.session.stops import Stop
 
 PLACE = (8.0, 8.0)
 """Error of these presses, mm and deg: a corner of the object stands on one block."""
-FAST = (False, False, False, True, False, False, True)
-"""Which presses are fast. After the first the object sits."""
+FAST = (False, False, True, False, False, True)
+"""Which presses are fast. One slow press comes before them: after it the object sits, wherever it stopped."""
 SLOW_MM_S, FAST_MM_S, LEAST_RATIO = 4.0, 10.0, 1.5
 SLIDES_MM = 0.3  # an object that a slow press pushes up by more slides in the hand: one fast press must do
 
