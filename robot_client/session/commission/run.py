@@ -103,7 +103,7 @@ class Commissioning:
     async def _stops(self, press_at: Callable[[float, float, bool], Awaitable[Ended]]) -> tuple[Stop, ...]:
         """Stops of the presses at two speeds, all in one grasp, up to one that was not stopped by what was pressed."""
         await self.fetch()
-        self._checked("press 0", await press_at(*PLACE, FAST[0]))  # the object sits down in the hand
+        self._checked("press before the timed ones", await press_at(*PLACE, FAST[0]))  # the object sits down
         stops: list[Stop] = []
         while goes_on(stops):
             number, fast = len(stops) + 1, FAST[len(stops)]

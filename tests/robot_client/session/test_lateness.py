@@ -141,11 +141,16 @@ def test_an_insertion_reckons_with_the_lateness_of_its_commissioning_where_that_
 
 
 @pytest.mark.parametrize(
-    ("late", "good", "says"), [(0.09, True, "late by 90 ms the lease lasts 210 ms"), (0.29, False, "")]
+    ("late", "good", "says"),
+    [
+        (None, True, "not measured: for 40 ms the lease lasts 260 ms"),
+        (0.09, True, "late by 90 ms: the lease lasts 210 ms"),
+        (0.29, False, "descend more slowly than 4.8 mm/s"),
+    ],
 )
 def test_check_tells_how_late_the_cell_is_and_refuses_one_that_is_too_late(tmp_path, late, good, says):
     path = tmp_path / "commissioning.json"
-    keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), stops=tuple(stops(late))))
+    keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), stops=tuple(stops(late)) if late else ()))
     real = Settings(commissioning=path)
 
     async def cell():

@@ -4,8 +4,8 @@ import pytest
 
 from service.contract.shipped import released_models
 from simulation.scene import drawn
-from simulation.scene.worlds import load_scene
-from simulation.studies.lateness import timed
+from simulation.scene.worlds import load_objects, load_scene
+from simulation.studies.lateness import errors_ms, lateness, timed
 
 TABLES = drawn.draw_worlds(3, 77)
 
@@ -22,3 +22,13 @@ def test_presses_tell_the_latency_and_the_stop_lag_together(latency_ms, stop_lag
     assert row["true_late_s"] == pytest.approx(1e-3 * latency_ms + stop_lag_s)
     assert row["late_s"] == pytest.approx(row["true_late_s"], abs=0.02)
     assert 0.0 < row["robot_s"] < 60.0
+
+
+def test_each_world_is_timed_and_errors_are_counted_where_it_was_measured():
+    worlds = [drawn.world(tables, str(number)) for number, tables in enumerate(TABLES[:2])]
+    for world in worlds:
+        world.changes["gel.tier"] = "bristle"
+    rows = lateness(worlds, load_objects(["circle", "rectangle"]), 5, released_models(), 1)
+    assert [row["world"] for row in rows] == ["0", "1"]
+    off_ms = errors_ms([*rows, {"late_s": None, "true_late_s": 0.1}])
+    assert off_ms == [1e3 * (row["late_s"] - row["true_late_s"]) for row in rows if row["late_s"] is not None]

@@ -74,7 +74,8 @@ def test_false_claims_come_first_on_the_page_and_void_ones_count_as_neither():
     rows += [row | faulty | {"inserted": False, "in_gap": False, "shortfalls": ("it is tilted",), "unseen_mm": 3.0}]
     rows += [row | {"claimed": False, "inserted": False, "reason": "service: not_confirmed: full depth"}]
     rows += [row | {"claimed": False, "inserted": False, "in_gap": False, "void": True, "reason": "physics: x"}]
-    data = trust.report_of(rows, (), {})
+    late = [{"world": "w", "late_s": late_s, "true_late_s": 0.08, "robot_s": 30.0} for late_s in (0.07, 0.1, None)]
+    data = trust.report_of(rows, late, {})
     assert data["all"] == {
         "insertions": 100,
         "claimed": 98,
@@ -92,6 +93,8 @@ def test_false_claims_come_first_on_the_page_and_void_ones_count_as_neither():
     }
     text = trust.trust_page(data)
     prose = text.replace("\n", " ")
+    assert "the lateness of pictures and arm in 2 of 3 worlds, off by +5 ms on average, -10 to +20 ms" in prose
+    assert "did not know how late" in trust.trust_page(trust.report_of(rows, (), {}))
     assert f"**1 of 98 claims were false: {wilson(1, 98):.2%}**. That is 1.00 % (0.18 .. 5.45) of 100" in prose
     assert "Without a fault, 97 insertions ended in the gap, and 1 of those were not claimed" in prose
     assert "| w: stuck, left | can | 7 | it is tilted |" in text
