@@ -46,7 +46,7 @@ class Block:
 
 def pages() -> list[Path]:
     """The pages in the root, those of packages, and every page below docs/."""
-    return [*sorted(ROOT.glob("*.md")), *sorted(ROOT.glob("*/README.md")), *sorted((ROOT / "docs").rglob("*.md"))]
+    return [*sorted(ROOT.glob("*.md")), *sorted(ROOT.glob("[a-z]*/README.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def blocks(page: Path) -> list[Block]:
@@ -65,3 +65,8 @@ def blocks(page: Path) -> list[Block]:
 def shell_blocks() -> list[Block]:
     """Every shell block of every page."""
     return [block for page in pages() for block in blocks(page) if block.language in SHELLS]
+
+
+def spans(page: Path) -> list[str]:
+    """The inline code of a page's sentences."""
+    return [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", _FENCE.sub("", page.read_text()))]

@@ -14,12 +14,15 @@ from unittest import mock
 import pytest
 
 from robot_client.settings import Settings, load_settings
-from tests.docs.commands import ROOT, Block, blocks, pages, shell_blocks
+from tactile_insertion.commands import COMMANDS
+from tests.docs.commands import ROOT, Block, blocks, pages, shell_blocks, spans
 
 MAKEFILE = (ROOT / "Makefile").read_text()
 TARGETS = set(re.findall(r"^([a-z][a-z-]*):", MAKEFILE, re.MULTILINE))
 VARIABLES = set(re.findall(r"\$\(([A-Z_]+)\)|\b([A-Z_]+) \?=", MAKEFILE))
 OWN = {"service", "robot_client", "simulation", "training", "export"}
+TORCHRUN = {"--nnodes", "--rdzv-endpoint"}
+PAST = "CHANGELOG.md"  # it names options that are gone
 
 
 @cache
@@ -45,10 +48,26 @@ def check_module(words: list[str]) -> None:
         return
     command = [package] if rest[0].startswith("-") else [package, rest[0]]
     text = help_of(*command)
+    if len(rest) > 1 and rest[1] in inner_commands(text):
+        text = help_of(*command, rest[1])
     for word in rest:
         option = word.split("=")[0]
         if option.startswith("--"):
             assert re.search(rf"{re.escape(option)}\b", text), f"{' '.join(command)} has no option {option}"
+
+
+def inner_commands(text: str) -> list[str]:
+    """The commands of a command, as its usage lists them: `scene {identify,fit,judge}`."""
+    listed = re.search(r"usage: .*?\{([\w,-]+)\}\s*$", text.split("\n\n", maxsplit=1)[0])
+    return listed[1].split(",") if listed else []
+
+
+def check_command(words: list[str]) -> None:
+    """`tactile-insertion COMMAND --option`: the command is ours, and every option is in its help."""
+    name, *rest = words
+    if not name.startswith("-"):
+        assert name in COMMANDS, f"tactile-insertion has no command {name}"
+        check_module([COMMANDS[name].package, COMMANDS[name].name, *rest])
 
 
 def check_make(words: list[str]) -> None:
@@ -72,12 +91,36 @@ def without_assignments(words: list[str]) -> list[str]:
 def test_every_command_exists_and_takes_the_options_shown(block: Block):
     for command in block.commands():
         words = without_assignments(command)
-        if words[:1] == ["make"]:
-            check_make(words[1:])
-        elif len(words) > 2 and Path(words[0]).name.startswith("python") and words[1] == "-m" and words[2] in OWN:
-            check_module(words[2:])
-        else:
-            assert words[0] not in OWN, f"{words[0]} is a package: python -m {words[0]}"
+        check(words)
+        assert words[0] not in OWN, f"{words[0]} is a package: python -m {words[0]}"
+
+
+def check(words: list[str]) -> None:
+    """A command of ours, whichever way it is called; those of others pass."""
+    if words[:1] == ["make"]:
+        check_make(words[1:])
+    elif words[:1] == ["tactile-insertion"] and len(words) > 1:
+        check_command(words[1:])
+    elif len(words) > 2 and Path(words[0]).name.startswith("python") and words[1] == "-m" and words[2] in OWN:
+        check_module(words[2:])
+
+
+@pytest.mark.parametrize("page", pages(), ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_command_and_option_named_in_a_sentence_exists(page: Path):
+    if page.name == PAST:
+        return
+    for span in spans(page):
+        check(without_assignments(span.split()))
+        for option in re.findall(r"(?<!\S)--[a-z][\w-]*", span):
+            assert option in all_options() | TORCHRUN, f"{page.name}: no command has the option {option}"
+
+
+@cache
+def all_options() -> set[str]:
+    """Every option in the help of any command."""
+    calls = [(command.package, command.name) for command in COMMANDS.values()]
+    calls += [(*call, inner) for call in calls for inner in inner_commands(help_of(*call))]
+    return set(re.findall(r"--[a-z][\w-]*", "\n".join(help_of(*call) for call in [*calls, *((own,) for own in OWN)])))
 
 
 def test_whatever_is_not_executed_says_why():
