@@ -61,7 +61,7 @@ class LockstepCell:
     shots: deque[tuple[CellState, float]] = field(init=False)  # exposures, with the TCP's height in mm
     course: Course = field(default_factory=Course)
     speed_mm_s: float = field(init=False)
-    pausing: bool = False  # the arm pauses within a descent
+    stands_s: float = math.inf  # from then on a descent stands, its lease being over
     _grasped: NDArray[np.float64] = field(init=False)
     _stuck: int = 0
     _law: Walk | None = None
@@ -147,22 +147,23 @@ class LockstepCell:
         self.bottom_z_mm, self.moving, self._law, self._walked_s, self.still_s = bottom_z_mm, True, law, 0.0, 0.0
 
     def hold(self) -> None:
-        """Order a stop: it takes effect after the controller's lag."""
+        """Order a stop: it takes effect after the controller's lag, of which a target that stood has used up some."""
         if self.moving:
-            lag_mm = self._ahead_mm(self.unstated.stop_lag_s)
-            self.bottom_z_mm = max(self.bottom_z_mm, self.pose[2] - lag_mm)
+            lag_s = min(self.unstated.stop_lag_s, max(0.0, self.stands_s - self.now_s))
+            self.bottom_z_mm = max(self.bottom_z_mm, self.pose[2] - self._ahead_mm(lag_s))
 
     def next_pair(self, *, look: bool = True) -> FramePair:
         """Advance one frame period and take both fingers' frames, drawn only with ``look``.
 
         Raises PhysicsError when the cell is lost for good.
         """
+        began_s = self.now_s
         self.now_ns += round(1e9 / self.scene.fps)
         after = self._late_periods % 1.0  # in periods, from an exposure to the next arrival of a frame
-        self._pass(1.0 - after)
+        self._pass(began_s, 1.0 - after)
         self.shots.append((self.state, self.pose[2]))
         if after > 0.0:
-            self._pass(after)
+            self._pass(began_s + (1.0 - after) / self.scene.fps, after)
         self.frame += 1
         left, right = (
             TactileFrame(
@@ -196,21 +197,24 @@ class LockstepCell:
         """All frames still to come show the present gel."""
         self.shots.extend([(self.state, self.pose[2])] * (self.shots.maxlen or 0))
 
-    def _pass(self, periods: float) -> None:
-        """Advance by a fraction of a frame period."""
+    def _pass(self, from_s: float, periods: float) -> None:
+        """Advance from that time by a fraction of a frame period."""
         passed_s = periods / self.scene.fps
-        if self.moving and not self.pausing:
+        goes_s = min(passed_s, max(0.0, self.stands_s - from_s)) if self.moving else 0.0
+        pauses_s = passed_s - goes_s
+        if goes_s > 0.0:
             x, y, z, yaw = _pose_of(self.physics)
-            bottom, way_mm = self.misplaced.true((0.0, 0.0, self.bottom_z_mm, 0.0))[2], self._way_mm(passed_s)
+            bottom, way_mm = self.misplaced.true((0.0, 0.0, self.bottom_z_mm, 0.0))[2], self._way_mm(goes_s)
             target = max(bottom, z - way_mm)
             if self._go(x, y, target, yaw):
                 self.moving = target - bottom > (_ROUNDING_MM if self._law else 0.0)
-                self._walked_s += passed_s
-                self.still_s = 0.0 if self.moving else passed_s * (1.0 - (z - target) / max(way_mm, _ROUNDING_MM))
-            return
-        self.still_s += passed_s
-        if self.physics.relaxes:
-            self._do(lambda: self.physics.wait(passed_s))
+                self._walked_s += goes_s
+                rest_s = goes_s * (1.0 - (z - target) / max(way_mm, _ROUNDING_MM)) + pauses_s
+                self.still_s = 0.0 if self.moving else rest_s
+        else:
+            self.still_s += passed_s
+        if pauses_s > 0.0 and self.physics.relaxes:
+            self._do(lambda: self.physics.wait(pauses_s))
 
     def _way_mm(self, passed_s: float) -> float:
         """Downward travel of the arm in that time."""

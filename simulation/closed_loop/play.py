@@ -5,6 +5,7 @@ perception, the shipped ONNX files and its controller; the answers go through th
 `client`, `oracle` and `session`, this is the only module of the simulator that imports them.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict
@@ -150,7 +151,9 @@ class Insertion:
 
     def _frame(self) -> None:
         was_moving, state = self.cell.moving, self.state
-        self.cell.pausing = state.phase is Phase.DESCENDING and self.cell.now_s >= state.until_s
+        self.cell.stands_s = math.inf
+        if state.phase is Phase.DESCENDING:
+            self.cell.stands_s = state.until_s + self.cell.unstated.stop_lag_s
         pair = self.cell.next_pair(look=self.session.wants_frames)
         self.unseen.frame(now_ns := self.cell.now_ns, self.cell.exposed_mm, self.cell.pose[2])
         self._show(pair, now_ns)

@@ -84,6 +84,21 @@ def test_an_arm_that_was_told_to_hold_stands_from_the_end_of_its_lag_on() -> Non
     assert held.pose[2] == pytest.approx(35.0 - held.speed_mm_s * (1 / 30.0 + 0.05))
 
 
+def test_a_descent_stands_once_its_lease_is_over_wherever_that_is_between_two_frames() -> None:
+    held = cell(unstated={"stop_lag_s": 0.05}, camera__fps=10.0, camera__latency_ms=30.0)
+    held.descend(0.0)
+    held.stands_s = held.now_s + 0.08
+    for _ in range(2):
+        held.next_pair(look=False)
+        assert held.pose[2] == pytest.approx(35.0 - held.speed_mm_s * 0.08)
+    assert held.moving, "a newer lease would let it go on"
+    held.hold()
+    held.stands_s = np.inf
+    held.next_pair(look=False)
+    assert held.pose[2] == pytest.approx(35.0 - held.speed_mm_s * 0.08), "it stood already: its lag is over"
+    assert not held.moving
+
+
 def test_blocks_above_the_approach_are_run_into_and_not_jumped_into() -> None:
     hit = cell(unstated={"blocks_up_mm": 5.5})
     assert hit.state.in_contact

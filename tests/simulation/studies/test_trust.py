@@ -53,6 +53,15 @@ def test_a_hand_that_is_empty_or_eyes_that_are_blind_claim_nothing(models, fault
         assert not row["in_gap"], "the mechanics still hold it, the hand does not"
 
 
+@pytest.mark.parametrize("fps", [11.0, 30.0])
+def test_frames_that_freeze_leave_no_more_travel_than_the_lease_allows_at_any_rate(models, fps):
+    changes = {"camera.fps": fps, "camera.latency_ms": 50.0, "speed_mm_s": 5.0}
+    job = replace(fits(kind="frozen"), changes=changes, unstated={"stop_lag_s": 0.03})
+    known, unknown = (insert(replace(job, late_s=late_s), models)["unseen_mm"] for late_s in (0.08, None))
+    assert 1.4 < known <= 1.5 + 1e-6
+    assert unknown == pytest.approx(known + 5.0 * 0.04, abs=0.01), "40 ms are reckoned with, it is 80 ms late"
+
+
 def test_the_draw_is_the_same_for_the_same_seed_and_holds_every_kind(tmp_path):
     worlds = [drawn.world(tables, str(number)) for number, tables in enumerate(drawn.draw_worlds(5, 2))]
     objects = load_objects(["circle", "can"])
