@@ -100,7 +100,7 @@ async def _commissioned(settings: Settings) -> list[Finding]:
     if late_s is None:
         late = f"how late pictures and arm are was not measured: for {1e3 * plan.lease.stop_lag_s:.0f} ms"
         return [Finding(True, f"commissioned; {late} {lasts}")]
-    return [Finding(True, f"commissioned; pictures and arm are late by {1e3 * late_s:.0f} ms: {lasts}")]
+    return [Finding(True, f"commissioned; pictures and arm are late by at most {1e3 * late_s:.0f} ms: {lasts}")]
 
 
 async def _service(settings: Settings) -> list[Finding]:

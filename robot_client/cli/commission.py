@@ -12,7 +12,7 @@ from robot_client.insertion.limits import check_pose
 from robot_client.insertion.state import Plan, State
 from robot_client.ports import DriverError
 from robot_client.session.commission.kept_gripper import KeptGripper
-from robot_client.session.commission.lateness import FAST, PLACE, slow_and_fast
+from robot_client.session.commission.lateness import MOST_N, PLACE, slow_and_fast
 from robot_client.session.commission.record import RECORD, Record, read_record
 from robot_client.session.commission.run import FITS, PRESSES, REACH, Commissioning, Ended, errors
 from robot_client.session.commission.wiring import SIDES, probe_of
@@ -55,7 +55,7 @@ def _rehearse(probes_n: int, path: Path, record: Record | None, *, presses: bool
     steps = [
         "put the object into the fixture and regrasp it, before each probe",
         f"probe at {_places(SIDES)}: are the signs right?",
-        f"press {len(FAST) + 1} times at {_places((PLACE,))}, at two speeds: how late are pictures and arm?",
+        f"press 7 to {MOST_N} times at {_places((PLACE,))}, at two speeds: how late are pictures and arm?",
         *([f"press at {_places(PRESSES)} until the gel slides"] if presses else []),
         f"{max(0, probes_n - done_n)} more probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
         f"keep what was seen in {path} after each",
@@ -149,7 +149,7 @@ async def _commission(probing: Probing, probes_n: int, path: Path, record: Recor
     for cause in record.named:
         show(f"MISTAKE  {cause}")
     if record.late_s is not None:
-        show(f"pictures and arm are late by {record.late_s * 1e3:.0f} ms together; `insert` reckons with at least that")
+        show(f"pictures and arm are late by at most {record.late_s * 1e3:.0f} ms together; `insert` reckons with that")
     if record.labelled_n >= probes_n and not reason:
         show(f"{record.labelled_n} probes done. The service's recordings hold them; to learn from them:")
         show("  tactile-insertion adapt RECORDINGS --from models/pressing/checkpoint.pt --out models/adapted")

@@ -10,13 +10,14 @@ class Stop(Contract):
     """Where a press ended: ``depth_mm`` below the armed pose.
 
     ``waited_s``: from the capture of the frame that ordered the stop, by its stamp, to the order. ``pressed_mm``: what
-    that frame showed of the press.
+    that frame showed of the press. ``frame_s``: mean time from one judged frame of the descent to the next.
     """
 
     speed_mm_s: float
     depth_mm: float
     waited_s: float
     pressed_mm: float
+    frame_s: float
 
     @property
     def touch_mm(self) -> float:
@@ -34,11 +35,16 @@ class StopWatch:
     def __init__(self) -> None:
         self.stop: Stop | None = None
         self._ordered: tuple[float, float, float] | None = None
+        self._judged_ns: list[int] = []
 
     def on_event(self, state: State, event: Event) -> None:
         """``event`` has led to ``state``."""
         if state.phase is Phase.ARMING:
             self.stop = self._ordered = None
+            self._judged_ns = []
+        descends = state.phase is Phase.DESCENDING
+        if descends and isinstance(event, FromService) and isinstance(event.message, wire.Watching):
+            self._judged_ns.append(event.message.frame_captured_ns)
         if isinstance(event, FromService) and isinstance(event.message, wire.Enough) and state.clock:
             if state.phase is Phase.STOPPING and self._ordered is None:
                 stamp_s = state.clock.ours_s(event.message.captured_ns, event.at_s) + 0.5 * state.clock.uncertainty_s
@@ -46,7 +52,18 @@ class StopWatch:
         elif isinstance(event, Standstill) and self._ordered and state.armed and self.stop is None:
             speed_mm_s, waited_s, pressed_mm = self._ordered
             depth_mm = state.armed.z_mm - event.pose.z_mm
-            self.stop = Stop(speed_mm_s=speed_mm_s, depth_mm=depth_mm, waited_s=waited_s, pressed_mm=pressed_mm)
+            self.stop = Stop(
+                speed_mm_s=speed_mm_s,
+                depth_mm=depth_mm,
+                waited_s=waited_s,
+                pressed_mm=pressed_mm,
+                frame_s=self._frame_s(),
+            )
+
+    def _frame_s(self) -> float:
+        if len(self._judged_ns) < 2:
+            return 0.0
+        return (self._judged_ns[-1] - self._judged_ns[0]) * 1e-9 / (len(self._judged_ns) - 1)
 
     def summary(self) -> dict[str, object]:
         """Empty: the record has the stop."""

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from robot_client.insertion.limits import LimitError
-from robot_client.session.commission.lateness import FAST, PLACE, goes_on, late_s, slow_and_fast
-from robot_client.session.stops import Stop, StopWatch
+from robot_client.session.commission.lateness import PLACE, Press, late_s, next_is_fast, slow_and_fast
+from robot_client.session.stops import StopWatch
 from simulation.closed_loop.client import trip_s
 from simulation.closed_loop.job import Job, job_in
 from simulation.closed_loop.play import models_of, stage
@@ -36,18 +36,14 @@ def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
         plans = slow_and_fast(insertion.state.plan, insertion.cell.scene.fps)
     except (PhysicsError, LimitError):
         return row
-    stops: list[Stop] = []
-    insertion.begin_again(plans[FAST[0]])
-    insertion.run()
-    while goes_on(stops):
+    series: list[Press] = []
+    while (fast := next_is_fast(series)) is not None:
         watch = StopWatch()
         insertion.watches = watch.on_event
-        insertion.begin_again(plans[FAST[len(stops)]])
+        insertion.begin_again(plans[fast])
         insertion.run()
-        if watch.stop is None:
-            break
-        stops.append(watch.stop)
-    return row | {"late_s": late_s(stops), "robot_s": insertion.seconds.total_s + trip_s(plans[0])}
+        series.append(Press(fast=fast, stop=watch.stop))
+    return row | {"late_s": late_s(series), "robot_s": insertion.seconds.total_s + trip_s(plans[0])}
 
 
 @dataclass(frozen=True)

@@ -192,10 +192,10 @@ def _late(rows: Sequence[Row]) -> str:
         counted from the frame's stamp.
         """
     return f"""
-        Each cell was [timed first](decisions/0194-how-late-pictures-and-arm-are.md), as in a commissioning: it told
-        the lateness of pictures and arm in {len(off_ms)} of {len(rows)} worlds, off by {np.mean(off_ms):+.0f} ms on
-        average, {min(off_ms):+.0f} to {max(off_ms):+.0f} ms. The arm descends no faster than its lease then allows. The
-        descent after a frame is counted from the frame's exposure, before its stamp.
+        Each cell was [timed first](decisions/0194-how-late-pictures-and-arm-are.md), as in a commissioning. That gave a
+        bound on the lateness of pictures and arm in {len(off_ms)} of {len(rows)} worlds, {np.mean(off_ms):+.0f} ms from
+        the truth on average, {min(off_ms):+.0f} to {max(off_ms):+.0f} ms. The arm descends no faster than its lease
+        then allows. The descent after a frame is counted from the frame's exposure, before its stamp.
         """
 
 

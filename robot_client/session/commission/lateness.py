@@ -3,7 +3,7 @@
 A press ends once the pictures show the gel pressed to a given depth. Pictures that are late show it as it was further
 up, and an arm that is slow to stop goes on. Without the travel that the service knows of, the depth of the standstill
 is a straight line in the speed, and its slope is the lateness of both. The object creeps up in the hand with each
-press; two slow presses in a row show by how much.
+press; two slow presses show by how much.
 """
 
 from collections.abc import Sequence
@@ -11,13 +11,23 @@ from collections.abc import Sequence
 from robot_client.insertion.limits import LimitError
 from robot_client.insertion.state import Plan
 from robot_client.session.stops import Stop
+from service.contract.frames import Contract
 
 PLACE = (8.0, 8.0)
 """Error of these presses, mm and deg: a corner of the object stands on one block."""
-FAST = (False, False, True, False, False, True)
-"""Which presses are fast. One slow press comes before them: after it the object sits, wherever it stopped."""
-SLOW_MM_S, FAST_MM_S, LEAST_RATIO = 4.0, 10.0, 1.5
-SLIDES_MM = 0.3  # an object that a slow press pushes up by more slides in the hand: one fast press must do
+FAST_MM_S, SLOWEST_MM_S, SLOW_SHARE, LEAST_RATIO = 10.0, 3.0, 0.4, 1.5
+FASTS_N, MOST_N = 2, 12
+"""Fast presses that are needed, and presses at most: one that ends by slip tells nothing."""
+STICKS, SLIDES = 0.5, 1.0
+"""Part of the time between two frames by which a contact between them is uncertain: all of it if the object slides."""
+SLIDES_MM = 0.3  # an object that a slow press pushes up by more slides: its motion does not grow in a straight line
+
+
+class Press(Contract):
+    """A press of the series; ``stop`` is None if it did not end because it was pressed enough."""
+
+    fast: bool
+    stop: Stop | None
 
 
 def slow_and_fast(plan: Plan, rate_hz: float) -> tuple[Plan, Plan]:
@@ -26,31 +36,50 @@ def slow_and_fast(plan: Plan, rate_hz: float) -> tuple[Plan, Plan]:
     ``rate_hz``: frames a second of the cameras.
     """
     fast_mm_s = min(FAST_MM_S, plan.limits.max_descent_speed_mm_s, plan.lease.fastest_mm_s(rate_hz))
-    if fast_mm_s < LEAST_RATIO * SLOW_MM_S:
+    slow_mm_s = max(SLOWEST_MM_S, SLOW_SHARE * fast_mm_s)
+    if fast_mm_s < LEAST_RATIO * slow_mm_s:
         allowed = f"{fast_mm_s:.1f} mm/s, as limits and cameras of {rate_hz:.0f} frames a second allow"
-        raise LimitError(f"presses at {SLOW_MM_S:g} and at {allowed}, do not tell how late pictures and arm are")
+        raise LimitError(f"presses at {slow_mm_s:g} and at {allowed}, do not tell how late pictures and arm are")
     press = plan.model_copy(update={"purpose": "timing", "pace": plan.pace.model_copy(update={"fast_mm_s": None})})
-    return press.at_speed(SLOW_MM_S), press.at_speed(fast_mm_s)
+    return press.at_speed(slow_mm_s), press.at_speed(fast_mm_s)
 
 
-def late_s(stops: Sequence[Stop]) -> float | None:
-    """How late pictures and arm are together, s; None before the first fast press.
+def next_is_fast(series: Sequence[Press]) -> bool | None:
+    """Whether the press after these is fast, which is so after two slow ones; None after the last one.
 
-    Each fast press after two slow ones gives one value. The larger one counts.
+    The first press of a series is slow and not counted: after it the object sits, wherever it stopped.
     """
-    estimates_s = []
-    for index, (is_fast, _) in enumerate(zip(FAST, stops, strict=False)):
-        if is_fast:
-            settled, slow, fast = stops[index - 2 : index + 1]
-            crept_mm = slow.touch_mm - settled.touch_mm
-            later_mm = fast.touch_mm - slow.touch_mm - crept_mm
-            estimates_s.append(later_mm / (fast.speed_mm_s - slow.speed_mm_s))
-    return max(0.0, *estimates_s) if estimates_s else None
+    estimates_s, slow = _read(series)
+    if len(estimates_s) == FASTS_N or len(series) == MOST_N:
+        return None
+    return len(slow) >= 2
 
 
-def goes_on(stops: Sequence[Stop]) -> bool:
-    """Whether another press follows these: not after all, nor after a fast one if the object slides in the hand."""
-    if len(stops) == len(FAST):
-        return False
-    slid_mm = abs(stops[-2].touch_mm - stops[-3].touch_mm) if stops and FAST[len(stops) - 1] else 0.0
-    return slid_mm <= SLIDES_MM
+def late_s(series: Sequence[Press]) -> float | None:
+    """How late pictures and arm are together at most, s; None before a fast press with two slow ones before it.
+
+    The largest estimate counts, and what the distance of two frames leaves open is added.
+    """
+    estimates_s, _ = _read(series)
+    if not estimates_s:
+        return None
+    slides = any(crept_mm > SLIDES_MM for _, crept_mm in estimates_s)
+    frame_s = max(press.stop.frame_s for press in series if press.fast and press.stop)
+    return max(0.0, *(late for late, _ in estimates_s)) + (SLIDES if slides else STICKS) * frame_s
+
+
+def _read(series: Sequence[Press]) -> tuple[list[tuple[float, float]], list[tuple[int, Stop]]]:
+    """Each estimate in s, with the creep of a press in mm; and the slow stops since the last fast press, numbered."""
+    estimates_s: list[tuple[float, float]] = []
+    slow: list[tuple[int, Stop]] = []
+    for number, press in enumerate(series[1:]):
+        if press.fast:
+            if press.stop and len(slow) >= 2:
+                (before_n, before), (last_n, last) = slow[-2:]
+                crept_mm = (last.touch_mm - before.touch_mm) / (last_n - before_n)
+                later_mm = press.stop.touch_mm - last.touch_mm - crept_mm * (number - last_n)
+                estimates_s.append((later_mm / (press.stop.speed_mm_s - last.speed_mm_s), abs(crept_mm)))
+            slow = []
+        elif press.stop:
+            slow.append((number, press.stop))
+    return estimates_s, slow

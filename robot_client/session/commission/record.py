@@ -8,9 +8,8 @@ from typing import Literal
 
 from pydantic import Field, ValidationError
 
-from robot_client.session.commission.lateness import late_s
+from robot_client.session.commission.lateness import Press, late_s
 from robot_client.session.commission.wiring import SIDES, Probe, mistakes
-from robot_client.session.stops import Stop
 from service.contract.frames import Contract, ContractError, Finger, first_error
 
 RECORD = "commissioning.json"
@@ -19,8 +18,8 @@ RECORD = "commissioning.json"
 class Record(Contract):
     """A stored commissioning. ``seed`` determines the errors of all probes, ``named`` are mistakes of the cell.
 
-    ``gels`` are those of its first probe, by the service's names. ``presses`` continued until the gel slid. ``stops``
-    are those of the presses at two speeds. ``sha256`` covers all other fields as written.
+    ``gels`` are those of its first probe, by the service's names. ``presses`` continued until the gel slid.
+    ``timed`` are the presses at two speeds. ``sha256`` covers all other fields as written.
     """
 
     version: Literal[1] = 1
@@ -31,7 +30,7 @@ class Record(Contract):
     signs: tuple[Probe, ...] = ()
     named: tuple[str, ...] = ()
     presses: tuple[Probe, ...] = ()
-    stops: tuple[Stop, ...] = ()
+    timed: tuple[Press, ...] = ()
     probes: tuple[Probe, ...] = ()
     sha256: str = ""
 
@@ -42,12 +41,12 @@ class Record(Contract):
 
     @property
     def late_s(self) -> float | None:
-        """How late pictures and arm are together, s; None if it was not measured."""
-        return late_s(self.stops)
+        """How late pictures and arm are together at most, s; None if it was not measured."""
+        return late_s(self.timed)
 
     def digest(self) -> str:
         """SHA-256 of all other fields."""
-        younger = {name for name in ("presses", "stops") if not getattr(self, name)}  # older records have none of them
+        younger = {name for name in ("presses", "timed") if not getattr(self, name)}  # older records have none of them
         content = self.model_dump(mode="json", exclude={"sha256", *younger})
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
-from robot_client.session.commission.lateness import FAST, PLACE, goes_on, late_s
+from robot_client.session.commission.lateness import PLACE, Press, late_s, next_is_fast
 from robot_client.session.commission.record import Record, keep_record
 from robot_client.session.commission.wiring import SIDES, Probe, mistakes
 from robot_client.session.stops import Stop
@@ -83,8 +83,8 @@ class Commissioning:
                 done = await self._probe(f"sign {number + 1} of {len(SIDES)}", *SIDES[number])
                 self._keep(signs=(*self.record.signs, done))
             self._keep(named=mistakes(self.record.signs))
-            if self.press_at and not self.record.named and not self.record.stops:
-                self._keep(stops=await self._stops(self.press_at))
+            if self.press_at and not self.record.named and not self.record.timed:
+                self._keep(timed=await self._timed(self.press_at))
             while self.press and not self.record.named and len(self.record.presses) < len(PRESSES):
                 number = len(self.record.presses)
                 title = f"press {number + 1} of {len(PRESSES)}"
@@ -100,24 +100,20 @@ class Commissioning:
             ) from None
         return self.record
 
-    async def _stops(self, press_at: Callable[[float, float, bool], Awaitable[Ended]]) -> tuple[Stop, ...]:
-        """Stops of the presses at two speeds, all in one grasp, up to one that was not stopped by what was pressed."""
+    async def _timed(self, press_at: Callable[[float, float, bool], Awaitable[Ended]]) -> tuple[Press, ...]:
+        """The presses at two speeds, all in one grasp; none if they do not tell how late the cell is."""
         await self.fetch()
-        self._checked("press before the timed ones", await press_at(*PLACE, FAST[0]))  # the object sits down
-        stops: list[Stop] = []
-        while goes_on(stops):
-            number, fast = len(stops) + 1, FAST[len(stops)]
-            title = f"{'fast' if fast else 'slow'} press {number} of {len(FAST)}"
-            done = self._checked(title, await press_at(*PLACE, fast))
-            if done.stop is None:
-                self.show(f"{title}: not stopped by what was pressed")
-                break
-            self.show(f"{title}: stopped at {done.stop.depth_mm:.2f} mm")
-            stops.append(done.stop)
-        if late_s(stops) is None:
+        series: list[Press] = []
+        while (fast := next_is_fast(series)) is not None:
+            title = f"{'fast' if fast else 'slow'} press {len(series) + 1}"
+            stop = self._checked(title, await press_at(*PLACE, fast)).stop
+            at = f"stopped at {stop.depth_mm:.2f} mm" if stop else "not stopped by what was pressed"
+            self.show(f"{title}: {at}")
+            series.append(Press(fast=fast, stop=stop))
+        if late_s(series) is None:
             self.show("HOW LATE pictures and arm are IS NOT KNOWN: see lease.stop_lag_s")
             return ()
-        return tuple(stops)
+        return tuple(series)
 
     async def _probe(
         self, title: str, x_mm: float, theta_deg: float, how: Callable[[float, float], Awaitable[Ended]] | None = None

@@ -58,7 +58,7 @@ def test_the_page_bears_a_run_that_only_asked_for_signs():
     late = [{"late_s": late_s, "true_late_s": 0.08, "robot_s": 30.2} for late_s in (0.07, 0.14, None)]
     text = commissioning_page({"note": "", "rows": rows, "late": late})
     prose = " ".join(text.split())
-    assert "measured them in 2: off by +25 ms on average, -10 to +60 ms, and within 20 ms in 50 %" in prose
+    assert "a bound on them in 2: +25 ms from the truth on average, -10 to +60 ms, and below it in 50 %" in prose
     assert "0 of 1 good cells were accused" in text
     assert "1 of 1 mistakes were named" in text
 

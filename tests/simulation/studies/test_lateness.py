@@ -11,7 +11,7 @@ TABLES = drawn.draw_worlds(3, 77)
 
 
 @pytest.mark.parametrize(("latency_ms", "stop_lag_s"), [(0.0, 0.01), (40.0, 0.05), (100.0, 0.08)])
-def test_presses_tell_the_latency_and_the_stop_lag_together(latency_ms, stop_lag_s):
+def test_presses_bound_the_latency_and_the_stop_lag_together(latency_ms, stop_lag_s):
     tables = {name: dict(table) for name, table in TABLES[0].items()}
     tables["gel"]["tier"] = "bristle"
     tables["camera"] |= {"latency_ms": latency_ms, "fps": 60.0}
@@ -20,7 +20,7 @@ def test_presses_tell_the_latency_and_the_stop_lag_together(latency_ms, stop_lag
     world.around(load_scene("rectangle"))
     row = timed(world, "rectangle", 5, released_models())
     assert row["true_late_s"] == pytest.approx(1e-3 * latency_ms + stop_lag_s)
-    assert row["late_s"] == pytest.approx(row["true_late_s"], abs=0.02)
+    assert -0.002 < row["late_s"] - row["true_late_s"] < 0.03, "it is never taken for shorter than it is"
     assert 0.0 < row["robot_s"] < 60.0
 
 
