@@ -98,8 +98,8 @@ async def _commissioned(settings: Settings) -> list[Finding]:
     late_s = commissioned(settings.commissioning).late_s
     lasts = f"the lease lasts {1e3 * plan.lasts_s(fast=False):.0f} ms"
     if late_s is None:
-        late = f"how late pictures and arm are was not measured: for {1e3 * plan.lease.stop_lag_s:.0f} ms"
-        return [Finding(True, f"commissioned; {late} {lasts}")]
+        late = f"how late pictures and arm are was not measured: for the {1e3 * plan.lease.stop_lag_s:.0f} ms set"
+        return [Finding(True, f"commissioned; {late}, {lasts}")]
     return [Finding(True, f"commissioned; pictures and arm are late by at most {1e3 * late_s:.0f} ms: {lasts}")]
 
 

@@ -52,7 +52,8 @@ def make_plan(
 def with_commissioning(settings: Settings, plan: Plan, *, asked: bool) -> Plan:
     """The plan with the gels and the lateness of the cell's commissioning; SettingsError for an uncommissioned cell.
 
-    A simulated cell needs none: its signs are right. ``asked`` is False with --uncommissioned.
+    So is one whose lateness is neither measured nor set. A simulated cell needs none: its signs are right. ``asked`` is
+    False with --uncommissioned.
     """
     if settings.simulated or not asked:
         return plan.model_copy(update={"signs_known": settings.simulated})
@@ -62,6 +63,11 @@ def with_commissioning(settings: Settings, plan: Plan, *, asked: bool) -> Plan:
             " first, or type --uncommissioned"
         )
     record = commissioned(settings.commissioning)
+    if record.late_s is None and "stop_lag_s" not in settings.lease.model_fields_set:
+        raise SettingsError(
+            f"{settings.commissioning} does not show how late pictures and arm are together: run `commission --live`"
+            " again, with a wider part or a firmer grip, or set lease.stop_lag_s to what you measured"
+        )
     known = {"gels": record.gels, "signs_known": True, "lease": plan.lease.late_by(record.late_s)}
     return plan.model_copy(update=known)
 

@@ -48,7 +48,8 @@ def tasks(
 ) -> list[Task]:
     """``count`` insertions, each with its own draw of world, object, start and fault; the same for the same seed.
 
-    ``late_s``: lateness of each world by name, as its commissioning has measured it.
+    ``late_s``: lateness of each world by name, as its commissioning has measured it. Where it could not (None), the
+    client refuses to insert: such a world is not drawn.
     """
     rng = np.random.default_rng((seed, 0x7A57))
     todo: list[Task] = []
@@ -57,6 +58,8 @@ def tasks(
         name = list(objects)[int(rng.integers(len(objects)))]
         wrong, given = _fault(rng)
         shares = rng.uniform(-1.0, 1.0, 2)
+        if late_s.get(world.name, 0.0) is None:
+            continue
         try:
             scene = world.around(objects[name])
         except SceneError:
@@ -194,8 +197,9 @@ def _late(rows: Sequence[Row]) -> str:
     return f"""
         Each cell was [timed first](decisions/0194-how-late-pictures-and-arm-are.md), as in a commissioning. That gave a
         bound on the lateness of pictures and arm in {len(off_ms)} of {len(rows)} worlds, {np.mean(off_ms):+.0f} ms from
-        the truth on average, {min(off_ms):+.0f} to {max(off_ms):+.0f} ms. The arm descends no faster than its lease
-        then allows. The descent after a frame is counted from the frame's exposure, before its stamp.
+        the truth on average, {min(off_ms):+.0f} to {max(off_ms):+.0f} ms; in the others a client refuses to insert. The
+        arm descends no faster than its lease then allows. The descent after a frame is counted from the frame's
+        exposure, before its stamp.
         """
 
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from robot_client.cli.insert import with_commissioning
 from robot_client.insertion.events import Move, Send, Standstill
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.lease import Lease
 from robot_client.insertion.state import Phase, State
 from robot_client.ports import DriverError
 from robot_client.session.commission.record import Record, keep_record, read_record
@@ -196,7 +197,7 @@ def test_nothing_is_inserted_with_a_gel_that_was_not_commissioned(gel, goes_on):
 
 def test_a_real_cell_inserts_only_with_the_record_of_its_commissioning(tmp_path):
     path = tmp_path / "commissioning.json"
-    real = Settings(commissioning=path)
+    real = Settings(commissioning=path, lease=Lease(stop_lag_s=0.04))
 
     def asked(settings):
         return with_commissioning(settings, PLAN, asked=True)

@@ -16,7 +16,7 @@ from robot_client.session.commission.lateness import MOST_N, PLACE, Press, late_
 from robot_client.session.commission.record import Record, keep_record, read_record
 from robot_client.session.commission.wiring import SIDES
 from robot_client.session.stops import Stop, StopWatch
-from robot_client.settings import Settings
+from robot_client.settings import Settings, SettingsError
 from service.contract import wire
 from tests.robot_client.insertion.stories import APPROACH, ID, PLAN, TO_DESCENT, at, run, service, watching
 from tests.robot_client.session.test_commission import Cell, commissioning
@@ -157,14 +157,21 @@ def test_an_insertion_reckons_with_the_lateness_of_its_commissioning_where_that_
     made = series_of(late, frame_s=0.0) if late else ()
     keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), timed=tuple(made)))
     plan = PLAN.model_copy(update={"lease": Lease(stop_lag_s=set_s)})
-    timed_plan = with_commissioning(Settings(commissioning=path), plan, asked=True)
+    timed_plan = with_commissioning(Settings(commissioning=path, lease=plan.lease), plan, asked=True)
     assert timed_plan.lease.stop_lag_s == pytest.approx(counts_s)
+
+
+def test_a_cell_whose_lateness_is_neither_measured_nor_set_inserts_nothing(tmp_path):
+    path = tmp_path / "commissioning.json"
+    keep_record(path, Record(begun="today", seed=1, signs=tuple(answers())))
+    with pytest.raises(SettingsError, match=r"does not show how late .* or set lease\.stop_lag_s"):
+        with_commissioning(Settings(commissioning=path), PLAN, asked=True)
 
 
 @pytest.mark.parametrize(
     ("late", "good", "says"),
     [
-        (None, True, "not measured: for 40 ms the lease lasts 260 ms"),
+        (None, True, "not measured: for the 40 ms set, the lease lasts 260 ms"),
         (0.09, True, "late by at most 90 ms: the lease lasts 210 ms"),
         (0.29, False, "descend more slowly than 4.8 mm/s"),
     ],
@@ -173,7 +180,7 @@ def test_check_tells_how_late_the_cell_is_and_refuses_one_that_is_too_late(tmp_p
     path = tmp_path / "commissioning.json"
     made = series_of(late, frame_s=0.0) if late else ()
     keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), timed=tuple(made)))
-    real = Settings(commissioning=path)
+    real = Settings(commissioning=path, lease=Lease(stop_lag_s=0.04))
 
     async def cell():
         return [finding async for name, finding in findings_of(real) if name == "cell"]

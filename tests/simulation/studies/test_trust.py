@@ -72,6 +72,12 @@ def test_the_draw_is_the_same_for_the_same_seed_and_holds_every_kind(tmp_path):
     assert {task.job["condition"].partition(": ")[2] for task in first} > {trust.WITHOUT, *trust.MISTAKES}
     assert all(task.made(json.loads(json.dumps(task.job))) for task in first), "what is in the log is not played again"
     assert trust.tasks(worlds, objects, 200, 5, tmp_path, {}) != first
+    late = {"0": 0.08, "1": None}
+    timed = {
+        task.job["condition"].partition(": ")[0]: task.job["late_s"]
+        for task in trust.tasks(worlds, objects, 200, 4, tmp_path, late)
+    }
+    assert timed == {"0": 0.08, "2": None, "3": None, "4": None}, "where it cannot be measured, nothing is inserted"
 
 
 def test_false_claims_come_first_on_the_page_and_void_ones_count_as_neither():
@@ -102,7 +108,7 @@ def test_false_claims_come_first_on_the_page_and_void_ones_count_as_neither():
     }
     text = trust.trust_page(data)
     prose = text.replace("\n", " ")
-    assert "the lateness of pictures and arm in 2 of 3 worlds, +5 ms from the truth on average, -10 to +20 ms" in prose
+    assert "the lateness of pictures and arm in 2 of 3 worlds, +5 ms from the truth on average, -10 to +20 ms;" in prose
     assert "did not know how late" in trust.trust_page(trust.report_of(rows, (), {}))
     assert f"**1 of 98 claims were false: {wilson(1, 98):.2%}**. That is 1.00 % (0.18 .. 5.45) of 100" in prose
     assert "Without a fault, 97 insertions ended in the gap, and 1 of those were not claimed" in prose
