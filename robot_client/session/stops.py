@@ -1,4 +1,4 @@
-"""Where an attempt stopped because it was pressed enough, and what is known of its contact."""
+"""Where an attempt stopped because of what was pressed, and what is known of its contact."""
 
 from robot_client.insertion.events import Event, FromService, Standstill
 from robot_client.insertion.state import Phase, State
@@ -30,7 +30,10 @@ class Stop(Contract):
 
 
 class StopWatch:
-    """Observer that keeps the stop of an attempt that ends because it was pressed enough, until the next is armed."""
+    """Observer that keeps the stop of an attempt that ends because it was pressed enough, or slips, until the next one.
+
+    A slip without a known press is no stop.
+    """
 
     def __init__(self) -> None:
         self.stop: Stop | None = None
@@ -45,10 +48,11 @@ class StopWatch:
         descends = state.phase is Phase.DESCENDING
         if descends and isinstance(event, FromService) and isinstance(event.message, wire.Watching):
             self._judged_ns.append(event.message.frame_captured_ns)
-        if isinstance(event, FromService) and isinstance(event.message, wire.Enough) and state.clock:
-            if state.phase is Phase.STOPPING and self._ordered is None:
+        if isinstance(event, FromService) and isinstance(event.message, wire.Enough | wire.Slip) and state.clock:
+            pressed_mm = event.message.pressed_mm
+            if state.phase is Phase.STOPPING and self._ordered is None and pressed_mm is not None:
                 stamp_s = state.clock.ours_s(event.message.captured_ns, event.at_s) + 0.5 * state.clock.uncertainty_s
-                self._ordered = state.speed_mm_s, event.at_s - stamp_s, event.message.pressed_mm
+                self._ordered = state.speed_mm_s, event.at_s - stamp_s, pressed_mm
         elif isinstance(event, Standstill) and self._ordered and state.armed and self.stop is None:
             speed_mm_s, waited_s, pressed_mm = self._ordered
             depth_mm = state.armed.z_mm - event.pose.z_mm

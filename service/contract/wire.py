@@ -199,7 +199,10 @@ class Watching(_Message):
 
 
 class Slip(_Message):
-    """Incipient slip: stop the arm now. ``age_ms`` is the time from the frame's capture to this message."""
+    """Incipient slip: stop the arm now. ``age_ms`` is the time from the frame's capture to this message.
+
+    ``pressed_mm``: length of the press in that frame, None where no contact is known.
+    """
 
     type: Literal["slip"] = "slip"
     attempt: Attempt
@@ -209,6 +212,7 @@ class Slip(_Message):
     age_ms: float
     score: float
     reason: str
+    pressed_mm: float | None = None
 
 
 class Correction(_Message):

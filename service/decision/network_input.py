@@ -121,6 +121,10 @@ class Descent:
         """Length of the press since the onset, mm."""
         return 0.0 if self._steps is None else self._steps.pressed_mm
 
+    def pressed_at_mm(self, stamp_ns: int) -> float | None:
+        """Length of the press since the onset at that stamp, mm; None where the onset is not known."""
+        return None if self._steps is None else self._steps.pressed_at_mm(stamp_ns)
+
     def begin(self, pairs: list[PairObservation], first: int) -> list[Floats]:
         """Take the pairs so far, ``first`` being the first to show motion; returns the completed steps."""
         try:

@@ -161,6 +161,7 @@ def slip_message(insertion_id: str, attempt: Attempt, observation: Observation, 
         age_ms=(now_ns - observation.captured_ns) / 1e6,
         score=float(observation.slip.score),
         reason=f"{observation.slip.state}: {observation.slip.reason}",
+        pressed_mm=attempt.descent.pressed_at_mm(observation.captured_ns) if attempt.descent else None,
     )
 
 

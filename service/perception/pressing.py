@@ -89,6 +89,13 @@ class DepthSteps:
         """Travel of the press since its onset, 0 while unknown."""
         return 0.0 if self.begin_mm is None else self._depths_mm[-1] - self.begin_mm
 
+    def pressed_at_mm(self, stamp_ns: int) -> float | None:
+        """Travel of the press since its onset at that stamp, None while the onset is unknown."""
+        return None if self.begin_mm is None else self._depth_mm(stamp_ns) - self.begin_mm
+
+    def _depth_mm(self, stamp_ns: int) -> float:
+        return (stamp_ns - self._start_ns) * 1e-9 * self.speed_mm_s
+
     def begin(self, stamps_ns: list[int], fields: list[Floats], first: int) -> None:
         """Take the frames so far, fields [2, rows, columns, 3] each; ``first`` is the first to show motion.
 
@@ -104,7 +111,7 @@ class DepthSteps:
 
     def add(self, stamp_ns: int, field_mm: Floats) -> None:
         """Take the next frame; one no later than the last is dropped."""
-        depth_mm = (stamp_ns - self._start_ns) * 1e-9 * self.speed_mm_s
+        depth_mm = self._depth_mm(stamp_ns)
         if self._depths_mm and depth_mm < self._depths_mm[-1] + CLOSEST_MM:
             return
         self._depths_mm.append(depth_mm)

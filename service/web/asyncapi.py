@@ -53,7 +53,7 @@ EXAMPLES: tuple[BaseModel, ...] = (
     wire.Straighten(**_ATTEMPT, tilt_deg=-0.6, detail="the attempts have turned it by about 0.9 deg"),
     wire.Refused(**_ATTEMPT, reason="no_reference", detail="left: 12 markers found, expected 420"),
     wire.Watching(**_ATTEMPT, frame_captured_ns=4_366_000_000, judged_ns=4_381_000_000),
-    wire.Slip(**_ATTEMPT, **_SLIP, reason="slip: 9 markers off the rigid motion"),
+    wire.Slip(**_ATTEMPT, **_SLIP, pressed_mm=0.92, reason="slip: 9 markers off the rigid motion"),
     wire.Enough(**_ATTEMPT, frame_seq=139, captured_ns=4_402_331_000, pressed_mm=1.53),
     wire.Correction(**_ATTEMPT, **_CORRECTION),
     wire.NoDecision(**_ATTEMPT, reason="no_motion", detail="neither finger saw the object move"),

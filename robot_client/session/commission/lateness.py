@@ -1,9 +1,9 @@
 """How late a cell's pictures and arm are together, from presses at two speeds in one grasp.
 
-A press ends once the pictures show the gel pressed to a given depth. Pictures that are late show it as it was further
-up, and an arm that is slow to stop goes on. Without the travel that the service knows of, the depth of the standstill
-is a straight line in the speed, and its slope is the lateness of both. The object creeps up in the hand with each
-press; two slow presses show by how much.
+A press ends once the pictures show the gel pressed to a given depth, or slip. Pictures that are late show it as it was
+further up, and an arm that is slow to stop goes on. Without the travel that the service knows of, the depth of the
+standstill is a straight line in the speed, and its slope is the lateness of both. The object creeps up in the hand with
+each press; two slow presses show by how much.
 """
 
 from collections.abc import Sequence
@@ -17,14 +17,14 @@ PLACE = (8.0, 8.0)
 """Error of these presses, mm and deg: a corner of the object stands on one block."""
 FAST_MM_S, SLOWEST_MM_S, SLOW_SHARE, LEAST_RATIO = 10.0, 3.0, 0.4, 1.5
 FASTS_N, MOST_N = 2, 12
-"""Fast presses that are needed, and presses at most: one that ends by slip tells nothing."""
+"""Fast presses that are needed, and presses at most: one whose contact is not known tells nothing."""
 STICKS, SLIDES = 0.5, 1.0
 """Part of the time between two frames by which a contact between them is uncertain: all of it if the object slides."""
 SLIDES_MM = 0.3  # an object that a slow press pushes up by more slides: its motion does not grow in a straight line
 
 
 class Press(Contract):
-    """A press of the series; ``stop`` is None if it did not end because it was pressed enough."""
+    """A press of the series; ``stop`` is None if it did not end because of what was pressed."""
 
     fast: bool
     stop: Stop | None

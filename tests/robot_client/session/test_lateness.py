@@ -18,7 +18,7 @@ from robot_client.session.commission.wiring import SIDES
 from robot_client.session.stops import Stop, StopWatch
 from robot_client.settings import Settings, SettingsError
 from service.contract import wire
-from tests.robot_client.insertion.stories import APPROACH, ID, PLAN, TO_DESCENT, at, run, service, watching
+from tests.robot_client.insertion.stories import APPROACH, ID, PLAN, TO_DESCENT, at, run, service, slip, watching
 from tests.robot_client.session.test_commission import Cell, commissioning
 from tests.robot_client.session.test_wiring import answers
 
@@ -79,12 +79,16 @@ def test_the_larger_of_both_values_counts_and_what_two_frames_leave_open_is_adde
     assert late_s(slides) == pytest.approx(0.05 + FRAME_S), "its first motion is no straight line"
 
 
-def test_a_press_is_kept_with_its_speed_its_age_and_where_the_arm_stood():
-    enough = wire.Enough(insertion_id=ID, attempt=1, frame_seq=3, captured_ns=30_000_000, pressed_mm=0.8)
+ENOUGH = wire.Enough(insertion_id=ID, attempt=1, frame_seq=3, captured_ns=30_000_000, pressed_mm=0.8)
+SLIPPED = slip(1).model_copy(update={"captured_ns": 30_000_000, "pressed_mm": 0.8})
+
+
+@pytest.mark.parametrize("order", [ENOUGH, SLIPPED])
+def test_a_press_is_kept_with_its_speed_its_age_and_where_the_arm_stood(order):
     still = APPROACH.at_height(APPROACH.z_mm - 7.5)
     watch, state = StopWatch(), State(PLAN.model_copy(update={"purpose": "timing"}))
     pairs = [service(watching(1, captured_s), 0.04) for captured_s in (0.0, 0.01, 0.03)]
-    for event in [*TO_DESCENT, *pairs, service(enough, 0.05), at(still, Standstill)]:
+    for event in [*TO_DESCENT, *pairs, service(order, 0.05), at(still, Standstill)]:
         state, _ = run([event], state)
         watch.on_event(state, event)
     assert watch.stop.speed_mm_s == 10.0
@@ -92,6 +96,14 @@ def test_a_press_is_kept_with_its_speed_its_age_and_where_the_arm_stood():
     assert (watch.stop.pressed_mm, watch.stop.depth_mm) == (0.8, 7.5)
     assert watch.stop.frame_s == pytest.approx(0.015)
     assert watch.stop.past_contact_mm(0.05) == pytest.approx(0.8 + 10.0 * 0.07, abs=0.01)
+
+
+def test_a_slip_without_a_known_contact_is_no_press():
+    watch, state = StopWatch(), State(PLAN.model_copy(update={"purpose": "timing"}))
+    for event in [*TO_DESCENT, service(slip(1), 0.05), at(APPROACH.at_height(28.0), Standstill)]:
+        state, _ = run([event], state)
+        watch.on_event(state, event)
+    assert watch.stop is None
 
 
 @pytest.mark.parametrize(("rate_hz", "slow", "fast"), [(60.0, 4.0, 10.0), (15.0, 3.75, 9.375), (10.0, 3.0, 7.143)])

@@ -111,6 +111,9 @@ def test_a_press_until_slip_goes_on_after_what_the_networks_read(made: Callable[
     insertion, replies = first_attempt(models, until_slip=True)
     attempt, read_n = insertion.session.attempt, models.card.pressing.steps_n
     assert answers(replies)[0] == "slip"
+    (slip,) = [message for message in replies if isinstance(message, wire.Slip)]
+    assert slip.pressed_mm == attempt.descent.pressed_at_mm(slip.captured_ns)
+    assert models.card.pressing.depth_mm < slip.pressed_mm < attempt.descent.pressed_mm + 0.5
     assert read_n < len(attempt.steps) < network_input.UNTIL_SLIP_N
     assert attempt.descent.pressed_mm > models.card.pressing.depth_mm
     decided = next(one for one in replies if isinstance(one, wire.Correction))

@@ -116,6 +116,7 @@ def test_a_slip_is_as_old_as_its_frame() -> None:
     shown = replace(pair().left, seq=7, captured_ns=40_000_000)
     slip = slip_message("one", descent(), shown, 47_500_000)
     assert (slip.frame_seq, slip.captured_ns, slip.age_ms, slip.score) == (7, 40_000_000, 7.5, 0.0)
+    assert slip.pressed_mm is None, "no contact is known"
 
 
 def test_a_pair_took_as_long_as_its_slower_finger() -> None:

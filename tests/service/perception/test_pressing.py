@@ -85,8 +85,11 @@ def test_a_stamp_that_does_not_advance_adds_nothing() -> None:
     descent = DepthSteps(SPEC, 10.0)
     stamps = [0, 33_000_000, 66_000_000]
     descent.begin(stamps, [field_at(0.0), field_at(0.0), field_at(0.2)], 2)
+    assert descent.pressed_at_mm(66_000_000) is None, "two frames in motion show where it began"
     descent.add(99_000_000, field_at(0.53))
     before = descent.pressed_mm
+    assert descent.pressed_at_mm(99_000_000) == pytest.approx(before)
+    assert descent.pressed_at_mm(119_000_000) == pytest.approx(before + 0.2), "at 10 mm/s"
     descent.add(99_000_000, field_at(5.0))
     descent.add(50_000_000, field_at(5.0))
     assert descent.pressed_mm == before
