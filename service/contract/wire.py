@@ -199,10 +199,7 @@ class Watching(_Message):
 
 
 class Slip(_Message):
-    """Incipient slip: stop the arm now. ``age_ms`` is the time from the frame's capture to this message.
-
-    ``pressed_mm``: length of the press in that frame, None where no contact is known.
-    """
+    """Incipient slip: stop the arm now. ``age_ms`` is the time from the frame's capture to this message."""
 
     type: Literal["slip"] = "slip"
     attempt: Attempt
@@ -212,7 +209,7 @@ class Slip(_Message):
     age_ms: float
     score: float
     reason: str
-    pressed_mm: float | None = None
+    pressed_mm: float | None = None  # by that frame; None where no contact is known
 
 
 class Correction(_Message):
