@@ -65,8 +65,8 @@ def with_commissioning(settings: Settings, plan: Plan, *, asked: bool) -> Plan:
     record = commissioned(settings.commissioning)
     if record.late_s is None and "stop_lag_s" not in settings.lease.model_fields_set:
         raise SettingsError(
-            f"{settings.commissioning} does not show how late pictures and arm are together: run `commission --live`"
-            " again, with a wider part or a firmer grip, or set lease.stop_lag_s to what you measured"
+            f"{settings.commissioning} does not show how late pictures and arm are, and lease.stop_lag_s is not set:"
+            " run `commission --live` again with a wider part or a firmer grip, or set it"
         )
     known = {"gels": record.gels, "signs_known": True, "lease": plan.lease.late_by(record.late_s)}
     return plan.model_copy(update=known)

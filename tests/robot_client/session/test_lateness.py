@@ -176,7 +176,7 @@ def test_an_insertion_reckons_with_the_lateness_of_its_commissioning_where_that_
 def test_a_cell_whose_lateness_is_neither_measured_nor_set_inserts_nothing(tmp_path):
     path = tmp_path / "commissioning.json"
     keep_record(path, Record(begun="today", seed=1, signs=tuple(answers())))
-    with pytest.raises(SettingsError, match=r"does not show how late .* or set lease\.stop_lag_s"):
+    with pytest.raises(SettingsError, match=r"does not show how late .* or set it"):
         with_commissioning(Settings(commissioning=path), PLAN, asked=True)
 
 
