@@ -48,17 +48,25 @@ class Lease(Contract):
 
     def check(self, speed_mm_s: float) -> None:
         """Raise LimitError for a travel above the limit of all cells, or a lag that uses up all of it."""
-        most_mm = max(SLOW_MM, FAST_S * speed_mm_s)
-        if not self.travel_mm <= most_mm:
-            where = f"allowed up to {most_mm:g} at {speed_mm_s:g} mm/s"
-            raise LimitError(f"lease.travel_mm = {self.travel_mm:g}, {where}")
-        if not self.lasts_s(speed_mm_s) > HANDLING_S:
+        self.check_travel(speed_mm_s)
+        if not self.bears(speed_mm_s):
             lag = f"{self.stop_lag_s * 1e3:.0f} ms of stop lag"
             slower = (
                 f"descend more slowly than {self.travel_mm / (HANDLING_S + self.stop_lag_s):.1f} mm/s (ramps.descend)"
             )
             used = f"lease.travel_mm = {self.travel_mm:g} is used up by {lag} at {speed_mm_s:g} mm/s"
             raise LimitError(f"{used}; {slower}")
+
+    def check_travel(self, speed_mm_s: float) -> None:
+        """Raise LimitError for a travel above the limit of all cells."""
+        most_mm = max(SLOW_MM, FAST_S * speed_mm_s)
+        if not self.travel_mm <= most_mm:
+            where = f"allowed up to {most_mm:g} at {speed_mm_s:g} mm/s"
+            raise LimitError(f"lease.travel_mm = {self.travel_mm:g}, {where}")
+
+    def bears(self, speed_mm_s: float) -> bool:
+        """Whether the stop lag leaves time to judge a frame."""
+        return self.lasts_s(speed_mm_s) > HANDLING_S
 
     def check_rate(self, speed_mm_s: float, camera: wire.CameraEntry) -> None:
         """Raise LimitError for a camera too slow for this speed: descend more slowly then, never on a longer lease."""

@@ -117,7 +117,7 @@ class Plan(Contract):
         self.lease.check(self.ramps.descend.speed_mm_s)
         self.pace.check(self.limits)
         if self.pace.fast_mm_s is not None:
-            self.fast_lease.check(self.pace.fast_mm_s)
+            self.fast_lease.check_travel(self.pace.fast_mm_s)
 
     @property
     def only_probes(self) -> bool:
@@ -152,11 +152,11 @@ class Plan(Contract):
                 )
 
     def bears_fast(self, cameras: Iterable[wire.CameraEntry]) -> bool:
-        """Whether the cameras' rate suffices for the fast legs; else a descent is slow all the way.
+        """Whether the cameras' rate and the stop lag allow the fast legs; else a descent is slow all the way.
 
         The same applies to an arm that cannot stop and go on: it has only one speed.
         """
-        if self.pace.fast_mm_s is None or not self.pause_s:
+        if self.pace.fast_mm_s is None or not self.pause_s or not self.fast_lease.bears(self.pace.fast_mm_s):
             return False
         try:
             for camera in cameras:

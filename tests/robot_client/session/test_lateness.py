@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from robot_client.cli.check import findings_of
 from robot_client.cli.insert import with_commissioning
 from robot_client.insertion.events import Standstill
-from robot_client.insertion.lease import Lease
+from robot_client.insertion.lease import PAUSE_S, Lease
 from robot_client.insertion.limits import LimitError
+from robot_client.insertion.pace import Pace
 from robot_client.insertion.state import State
 from robot_client.session.commission.lateness import MOST_N, PLACE, Press, late_s, next_is_fast, slow_and_fast
 from robot_client.session.commission.record import Record, keep_record, read_record
@@ -185,6 +186,7 @@ def test_a_cell_whose_lateness_is_neither_measured_nor_set_inserts_nothing(tmp_p
     [
         (None, True, "not measured: for the 40 ms set, the lease lasts 260 ms"),
         (0.09, True, "late by at most 90 ms: the lease lasts 210 ms"),
+        (0.2, True, "lasts 100 ms, too short for 10 mm/s: it descends at the probing speed all the way"),
         (0.29, False, "descend more slowly than 4.8 mm/s"),
     ],
 )
@@ -207,3 +209,14 @@ def test_a_lateness_that_uses_up_the_lease_is_refused_with_the_speed_that_would_
     with pytest.raises(LimitError, match=r"140 ms of stop lag at 10 mm/s; descend more slowly than 9.4 mm/s"):
         late.check()
     late.at_speed(9.0).check()
+
+
+@pytest.mark.parametrize(("late", "fast"), [(0.1, True), (0.15, False)])
+@pytest.mark.parametrize("rate_hz", [None, 200.0])
+def test_a_cell_too_late_for_the_fast_legs_descends_slowly_all_the_way(late, fast, rate_hz):
+    plan = PLAN.at_speed(5.0).model_copy(
+        update={"lease": PLAN.lease.late_by(late), "pace": Pace(fast_mm_s=10.0), "pause_s": PAUSE_S}
+    )
+    plan.check()
+    camera = wire.CameraEntry(finger="left", source="s", state="live", frame_rate_hz=rate_hz)
+    assert plan.bears_fast([camera]) == fast
