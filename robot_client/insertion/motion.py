@@ -2,7 +2,9 @@
 
 import itertools
 import math
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
+
+from pydantic import model_validator
 
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.lease import PAUSE_S, Unwatched, check_leased
@@ -37,6 +39,18 @@ class Ramps(Contract):
     travel: Ramp = Ramp(speed_mm_s=80.0, acceleration_mm_s2=300.0, jerk_mm_s3=5000.0)
     descend: Ramp = Ramp(speed_mm_s=5.0, acceleration_mm_s2=100.0, jerk_mm_s3=2000.0)
     retract: Ramp = Ramp(speed_mm_s=25.0, acceleration_mm_s2=200.0, jerk_mm_s3=4000.0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _filled(cls, tables: Any) -> Any:
+        """A ramp of which a table states some keys keeps the default for the others."""
+        if not isinstance(tables, dict):
+            return tables
+        usual = {name: field.default.model_dump() for name, field in cls.model_fields.items()}
+        return {
+            name: {**usual[name], **given} if name in usual and isinstance(given, dict) else given
+            for name, given in tables.items()
+        }
 
     def of(self, motion: Motion) -> Ramp:
         return {"travel": self.travel, "descend": self.descend, "retract": self.retract}[motion]

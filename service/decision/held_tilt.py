@@ -147,7 +147,7 @@ class HeldTilt:
         off_mm = float(upright_mm - row @ self._mean)
         variance = float(row @ self._spread @ row) + TOUCH_MM**2
         if not off_mm**2 <= CONTRADICTS**2 * variance:
-            self.unknown = f"it touched {abs(off_mm):.1f} mm from where its tilt has it touch: the tilt is not known"
+            self.unknown = f"it touched {abs(off_mm):.1f} mm from the height that its tilt predicts: that is not known"
             return
         gain = self._spread @ row / variance
         self._mean += gain * off_mm

@@ -14,6 +14,7 @@ from robot_client.cli.insert import _insert, make_plan
 from robot_client.cli.jog import _jog
 from robot_client.grippers.wsg50.driver import GripperError
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.motion import Ramps
 from robot_client.ports import DriverError
 from robot_client.session.recorder import Recorder, read_log
 from robot_client.settings import SettingsError, load_settings
@@ -111,6 +112,14 @@ def test_the_password_can_come_from_the_environment_and_is_never_shown(monkeypat
 def test_unknown_sections_are_refused():
     with pytest.raises(SettingsError, match="gripperr"):
         load_settings(None, {"gripperr": {"port": 1}})
+
+
+def test_a_ramp_of_which_one_key_is_stated_keeps_the_others():
+    ramps = load_settings(None, {"ramps": {"descend": {"speed_mm_s": 4.0}}}).ramps
+    assert ramps.descend == Ramps().descend.model_copy(update={"speed_mm_s": 4.0})
+    assert (ramps.travel, ramps.retract) == (Ramps().travel, Ramps().retract)
+    with pytest.raises(SettingsError, match=r"ramps.descend.speed: unknown key; did you mean 'speed_mm_s'"):
+        load_settings(None, {"ramps": {"descend": {"speed": 4.0}}})
 
 
 def test_without_live_nothing_is_connected(capsys):

@@ -120,7 +120,7 @@ def test_a_height_that_contradicts_all_that_is_known_has_the_object_taken_afresh
     tilt = HeldTilt(most_tilt_deg=1.5)
     touch(tilt, 1.0, 0.0)
     touch(tilt, -1.0, 0.0, up_mm=9.0)
-    assert "3.0 mm from where its tilt has it touch" in tilt.askew(FREE)
+    assert "3.0 mm from the height that its tilt predicts" in tilt.askew(FREE)
     assert math.isnan(tilt.deg)
     assert tilt.straightening() is None
 
