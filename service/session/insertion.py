@@ -48,6 +48,7 @@ class Insertion:
     telemetry_lost_n: int = 0
     opened_ns: int = field(default_factory=now_ns)
     continues: wire.InsertionId | None = None
+    tried_n: int = 0  # attempts with the object in its earlier grasps
     beside: Beside | None = None
     _decisions: list[dict[str, Any]] = field(default_factory=list)
     _client_ahead_ns: int | None = None

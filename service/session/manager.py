@@ -65,6 +65,7 @@ class InsertionManager:
     unrecorded_n: int = 0
     _unrecorded: str = ""
     _decided: Decider | None = None  # of the last insertion: the next one may continue with its object
+    _tried_n: int = 0  # attempts with that object so far
     _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
     _calibration_text: str = field(init=False)
     _gels: dict[Finger, str] = field(init=False)
@@ -176,7 +177,7 @@ class InsertionManager:
         session.deadlines = self.settings.deadlines
         recorder = self._recorder(hello.insertion_id, session, before.insertion_id if before else "")
         insertion = Insertion(session, recorder, None, self._publish, self.hub.observation, jpegs=self.jpegs)
-        insertion.continues = hello.continues
+        insertion.continues, insertion.tried_n = hello.continues, self._tried_n if before else 0
         if self.versions and recorder:  # an insertion without a recording is no evidence
             insertion.beside = self.versions.beside(session.models, given.limits, given.controller)
         session.on_command = lambda command: self.hub.publish("command", command)
@@ -232,6 +233,8 @@ class InsertionManager:
             return
         self._ended[finished.insertion_id] = finished
         self._decided = insertion.session.decider
+        descended_n = finished.attempts - (finished.cause == "afresh")  # before a regrasp the last one was refused
+        self._tried_n = insertion.tried_n + descended_n
         while len(self._ended) > REMEMBERED_N:
             self._ended.popitem(last=False)
 
@@ -258,7 +261,8 @@ class InsertionManager:
         if self.versions is None or insertion.beside is None:
             return
         try:
-            self.versions.learn(insertion.beside, finished, fresh=insertion.continues is None)
+            tried_n = insertion.tried_n
+            self.versions.learn(insertion.beside, finished, fresh=insertion.continues is None, tried_n=tried_n)
         except Exception as error:  # the insertion itself has ended well
             self.hub.publish("error", f"versions: {error or type(error).__name__}")
 

@@ -168,10 +168,11 @@ class Versions:
 
     # ---- learning from insertions ------------------------------------------------------------------------------------
 
-    def learn(self, answered: Beside, finished: Finished, *, fresh: bool) -> None:
+    def learn(self, answered: Beside, finished: Finished, *, fresh: bool, tried_n: int) -> None:
         """Add an ended insertion, which may show that another version should decide.
 
-        ``fresh``: its first attempt was the object's first. Raises OSError where nothing can be written.
+        ``fresh``: its first attempt was the object's first; otherwise ``tried_n`` came before. Raises OSError where
+        nothing can be written.
         """
         with self._lock:
             wiring = self._now.wiring
@@ -180,7 +181,7 @@ class Versions:
                 return
             held = answered.went_in() if inserted else {}
             for role, version in wiring.beside.items():
-                contest = wiring.contest(role).ended(finished.attempts if inserted else FAILED)
+                contest = wiring.contest(role).ended(tried_n + finished.attempts if inserted else FAILED)
                 compared = fresh and version in answered.networks  # not one that was given meanwhile
                 for scores in answered.scores if compared else ():
                     contest = contest.scored(scores[version] - scores[wiring.active])

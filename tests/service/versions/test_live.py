@@ -10,6 +10,7 @@ import onnx
 import pytest
 
 from service.__main__ import main
+from service.contract import wire
 from service.decision.models import load_models
 from service.recordings.reader import Recording
 from service.versions.contest import Bet, Contest
@@ -46,6 +47,20 @@ def insert(cell: LiveService, name: str, *, blocked: bool = False) -> tuple[list
     assert finished.outcome == "inserted"
     driver.close()
     return decided, Path(finished.recording)
+
+
+def regrasped(cell: LiveService) -> None:
+    """A blocked attempt, a regrasp instead of the next one, and the object goes in."""
+    first = Driver(cell, "turned")
+    first.attempt(1)
+    first.send(wire.Arm(insertion_id="turned", attempt=2, gap_width_mm=56.0, expected_depth_mm=25.0))
+    first.until("armed")
+    first.send(wire.Abort(insertion_id="turned", cause="afresh", reason="turned"))
+    first.until("finished")
+    first.close()
+    again = Driver(cell, "upright", continues="turned")
+    assert again.insert(1).outcome == "inserted"
+    again.close()
 
 
 def hashes(folder: Path) -> list[str]:
@@ -89,6 +104,9 @@ def test_both_answer_to_the_same_attempt_and_the_record_holds_both(tmp_path: Pat
         assert summary["decisions"][0]["beside"] == answers
         until(lambda: ask(cell, "GET").json()["shadow"]["scored_n"] == 1)
         assert ask(cell, "GET").json()["previous"]["scored_n"] == 1
+        regrasped(cell)
+        until(lambda: cell.station.versions._now.wiring.contest("shadow").ended_n == 2)
+        assert cell.station.versions._now.wiring.contest("shadow").attempts_n == 2 + 2, "of both grasps"
         where = cell.station.versions.active.steps[0].path.parent
         assert main(["replay", str(path), "--models", str(where)]) == 0  # bit for bit: nothing beside it moved the arm
 
