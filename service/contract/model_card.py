@@ -87,6 +87,11 @@ class Pressing(Contract):
             )
         return self
 
+    def reads_like(self, other: Self) -> bool:
+        """Whether both read the same steps of depth; the ranges that they were trained on may differ."""
+        ranges = {"trained", "strangeness_limit"}
+        return self.model_dump(exclude=ranges) == other.model_dump(exclude=ranges)
+
     @property
     def depth_mm(self) -> float:
         """Travel of the press for a whole decision."""
@@ -278,3 +283,9 @@ class ModelCard(Contract):
             for field in shared
             if getattr(self, field) != getattr(other, field)
         ]
+
+    def incomparable(self, other: Self) -> list[str]:
+        """As `disagreements`, with a card that answers beside this one: each keeps to its own trained ranges."""
+        if self.pressing and other.pressing and self.pressing.reads_like(other.pressing):
+            other = other.model_copy(update={"pressing": self.pressing})
+        return self.disagreements(other)

@@ -139,7 +139,7 @@ class Versions:
                 if at_start:
                     return
                 raise ContractError(self.problem)
-            if differs := self._now.active.card.disagreements(models.card):
+            if differs := self._now.active.card.incomparable(models.card):
                 raise ContractError(f"{folder} cannot run in shadow: {differs[0]}")
             kept = {**self._now.networks, self._store.keep(models): self._store.load(version)}
             self._change("shadow", version, f"given as {folder}", wiring.with_one("shadow", version, Contest()), kept)

@@ -3,6 +3,7 @@ import json
 import pytest
 
 from service.contract import CARD_KEY, ContractError, ErrorClass, FrameSpec, ModelCard
+from service.contract.model_card import Lattice, Pressing, Span
 
 CARD = ModelCard(
     name="compact",
@@ -54,3 +55,14 @@ def test_cards_that_disagree_say_on_what():
     assert CARD.disagreements(CARD) == []
     (sentence,) = CARD.disagreements(other)
     assert sentence == "frames_per_decision: compact says 8, other says 4"
+
+
+def test_networks_trained_on_other_ranges_can_answer_beside_each_other_but_not_in_one_decision():
+    spec = Pressing(lattice=Lattice(rows=9, columns=9, pitch_mm=1.5), step_mm=0.15, steps_n=8, trained={})
+    wider = spec.model_copy(update={"trained": {"speed_mm_s": Span(low=3, high=40)}, "strangeness_limit": 4.0})
+    ours, theirs, coarser = (
+        CARD.model_copy(update={"pressing": one}) for one in (spec, wider, spec.model_copy(update={"step_mm": 0.2}))
+    )
+    assert ours.incomparable(theirs) == []
+    assert len(ours.disagreements(theirs)) == 1
+    assert len(ours.incomparable(coarser)) == len(ours.incomparable(CARD)) == 1
