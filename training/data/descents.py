@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import Sensor
-from service.perception.pressing import lattice_weights, onset_depth, step_weights
+from service.perception.pressing import VISIBLE_SHARE, lattice_weights, onset_depth, step_weights
 from training.networks.pressing import LATTICE, STEP_MM, STEPS
 
 FPS = (10.0, 120.0)
@@ -22,6 +22,8 @@ TRACKING_MM = (0.001, 0.004)
 """Error of a lattice point, RMS per axis: a tracker's 0.04 to 0.08 px, averaged over the markers around it."""
 NOTICED_MM = (0.012, 0.03)
 """Motion at which the service detects the onset."""
+SCENE_MM_S = 10.0
+"""Speed of a scene that states none."""
 CARRIED = 10
 """Rank, from the largest, of the marker motion that detects the onset, as in `carried_px` of the service."""
 
@@ -40,6 +42,11 @@ class Stored:
     conditions: tuple[float, ...]
 
 
+def speed_of(trial: Any) -> float:
+    """Speed of a trial's descent, mm/s: that of the scenes where the trial states none, or 0."""
+    return float(getattr(trial, "speed_mm_s", 0.0)) or SCENE_MM_S
+
+
 class Reader:
     """Reads trials of one sensor."""
 
@@ -47,7 +54,9 @@ class Reader:
         centre = np.array([0.5 * (sensor.width_px - 1), 0.5 * (sensor.height_px - 1)], np.float32)
         rest_mm = (sensor.marker_rest_px().reshape(-1, 2) - centre) * np.float32(sensor.mm_per_px)
         weights = lattice_weights(rest_mm, LATTICE, sensor.marker_pitch_mm)
-        self._weights = weights / np.maximum(weights.sum(1, keepdims=True), 1e-6)
+        total = weights.sum(1, keepdims=True)
+        self._hidden = total[:, 0] <= VISIBLE_SHARE  # too few markers around these points, as in the service
+        self._weights = np.where(self._hidden[:, None], 0.0, weights / np.maximum(total, 1e-6)).astype(np.float32)
 
     def stored(self, trial: Any) -> Stored:
         """The stored part of a trial, from the frame before its onset to the last frame of the arm's descent."""
@@ -66,7 +75,7 @@ class Reader:
                 trial.grasp_height_mm,
                 getattr(trial, "grip_n", 0.0),
                 getattr(trial, "shear_reach_mm", 0.0),
-                getattr(trial, "speed_mm_s", 10.0),
+                speed_of(trial),
             ),
         )
 
@@ -127,6 +136,7 @@ class Reader:
         )
         out = np.zeros((STEPS, 2, LATTICE.rows, LATTICE.columns, 2), np.float16)
         out[:length] = steps.reshape(length, *out.shape[1:])
+        out.reshape(STEPS, 2, -1, 2)[:, :, self._hidden] = np.nan
         return out, length
 
 

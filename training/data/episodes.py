@@ -3,7 +3,8 @@
 The error is known in two ways. A probe (``purpose`` of the episode) begins at a known error, in the frame taught to the
 arm. In a successful insertion, every earlier attempt was off by the moves that followed it, to within the gap's
 clearance. ``objects`` of the samples says which: PROBE or WORK, and LATER for the attempts of an insertion after the
-first one. Those are closer to the gap than a network's first question, so they are not used for evaluation.
+first one, also those after a regrasp. They are closer to the gap than a network's first question, so they are not used
+for evaluation.
 """
 
 import hashlib
@@ -84,7 +85,7 @@ def _attempts(folder: Path, number: int) -> Iterator[Attempt]:
         shown = [_shown(path) for path in sorted(folder.glob("attempt_*.npz"))]
     except (OSError, ValueError, KeyError) as error:
         raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
-    first = PROBE if summary.get("purpose") == "probe" else WORK
+    first = PROBE if summary.get("purpose") == "probe" else LATER if summary.get("continues") else WORK
     for index, (off, (inputs, _)) in enumerate(zip(_errors(summary, [move for _, move in shown]), shown, strict=False)):
         if off is not None and inputs is not None:
             yield Attempt(LATER if index else first, off, *inputs, number)

@@ -1,5 +1,6 @@
 """Trials as steps of depth: arrays of views of many descents, and the batches cut from them."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +26,7 @@ UNTOLD_SHARE = (0.1, 0.2, 0.3, 0.4, 0.0, 0.0)
 """Share of training decisions without a condition: cells may not know it."""
 SCALE_ERROR, ROLL_DEG, LOST_SHARE = 0.03, 2.0, 0.03
 """Errors of a finger's camera: of its calibration, and the share of markers not found."""
-_TABLE = 2
+_TRIED_N = 20  # trials whose reading tells whether the code that reads them has changed
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +124,8 @@ def load_pressed(config: DataConfig, source: Source | None = None) -> Pressed:
     """The views of a dataset's collisions, from the cache if it holds them; ContractError as `load_trials`."""
     source = open_source(config.path) if source is None else source
     digest, count = data_sha256(source), min(len(source), config.max_trials)
-    path = Path(config.cache) / digest[:16] / f"pressed-{_TABLE}-{count}-{config.views}.npz"
+    name = f"pressed-{reading_sha256(source, count)}-{count}-{config.views}.npz"
+    path = Path(config.cache) / digest[:16] / name
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_suffix(".tmp.npz")
@@ -131,6 +133,15 @@ def load_pressed(config: DataConfig, source: Source | None = None) -> Pressed:
         temporary.replace(path)
     with np.load(path) as stored:
         return Pressed(**{name: stored[name] for name in stored.files}, sha256=digest, sensor=source.manifest.sensor)
+
+
+def reading_sha256(source: Source, count: int) -> str:
+    """A hash of the code that reads descents, from its result on the first trials: other readings share no cache."""
+    try:
+        table = table_of(source, range(min(count, _TRIED_N)), 1)
+    except ContractError:  # no collision among them
+        return "none"
+    return hashlib.sha256(table["fields"].tobytes() + table["conditions"].tobytes()).hexdigest()[:12]
 
 
 def table_of(source: Source, chosen: Sequence[int], views: int, fps: float | None = None) -> dict[str, Any]:

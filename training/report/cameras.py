@@ -10,7 +10,7 @@ from rich.progress import track
 from reporting.statistics import Estimate, mean, wilson
 from reporting.table import Table, table
 from training.data.dataset import Source
-from training.data.descents import WIDEST_SPACING_MM
+from training.data.descents import WIDEST_SPACING_MM, speed_of
 from training.data.labels import class_of
 from training.data.pressed import Pressed, table_of
 from training.fit.train import Trainer
@@ -46,7 +46,7 @@ def _test_presses(source: Source) -> tuple[NDArray[np.int64], NDArray[np.float64
     for index in track(range(len(source)), "reading speeds", transient=True):
         trial = source.trial(index)
         if trial.split == "test":
-            presses.append((index, float(getattr(trial, "speed_mm_s", 10.0))))
+            presses.append((index, speed_of(trial)))
         if len(presses) == MOST:
             break
     return np.array([index for index, _ in presses], np.int64), np.array([speed for _, speed in presses])

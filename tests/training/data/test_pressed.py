@@ -1,16 +1,21 @@
 """Trials read as steps of depth, and a network trained on them."""
 
 import json
+from copy import copy
 
 import numpy as np
 import pytest
 
+from service.contract import Sensor
+from service.perception.pressing import lattice_weights, on_lattice
 from simulation.cli.dataset import export_dataset
 from simulation.data import drawn_cells
 from simulation.data.dataset import DatasetWriter
 from simulation.scene.rubber import shear_reach_pitches
 from tests.simulation.strategies import made_up_manifest, made_up_trial
 from tests.training.synthetic import SyntheticSource
+from training.data import descents
+from training.data.descents import Reader
 from training.data.pressed import load_pressed
 from training.data.reading import decisions
 from training.fit.train import train
@@ -47,6 +52,36 @@ def test_views_are_the_same_in_every_process_and_differ_from_each_other(pressed_
     assert len(train_rows) == 2 * sum(trial.split == "train" for trial in pressed_source.trials)
     assert not np.array_equal(first.fields[train_rows[0]], first.fields[train_rows[1]])
     assert first.fields.shape[1:] == (STEPS, 2, LATTICE.rows, LATTICE.columns, 2)
+
+
+def test_a_trial_that_states_no_speed_is_read_as_one_of_its_scene(pressed_source):
+    stated, silent = copy(pressed_source.trials[0]), copy(pressed_source.trials[0])
+    stated.speed_mm_s, silent.speed_mm_s = 10.0, 0.0
+    reader = Reader(pressed_source.manifest.sensor)
+    views = [reader.view(reader.stored(trial), np.random.default_rng(4)) for trial in (stated, silent)]
+    np.testing.assert_array_equal(views[0][0], views[1][0])
+    assert views[0][1:] == views[1][1:]
+
+
+def test_descents_that_are_read_otherwise_share_no_table(pressed_source, config, monkeypatch):
+    before = load_pressed(config.data, pressed_source)
+    monkeypatch.setattr(descents, "TRACKING_MM", (0.02, 0.03))
+    assert not np.array_equal(load_pressed(config.data, pressed_source).fields, before.fields)
+
+
+@pytest.mark.parametrize("name", ["gelslim_2019", "gelsight_mini"])
+def test_a_point_is_visible_in_training_where_it_is_in_the_service(name):
+    sensor = Sensor.load(name)
+    trial = copy(down(1).trials[0])
+    trial.gel = np.ones((30, 2, sensor.marker_rows, sensor.marker_columns, 3)) * np.arange(30).reshape(30, 1, 1, 1, 1)
+    reader = Reader(sensor)
+    steps, length, _ = reader.view(reader.stored(trial), np.random.default_rng(1))
+    centre = np.array([0.5 * (sensor.width_px - 1), 0.5 * (sensor.height_px - 1)], np.float32)
+    rest_mm = (sensor.marker_rest_px().reshape(-1, 2) - centre) * np.float32(sensor.mm_per_px)
+    weights = lattice_weights(rest_mm, LATTICE, sensor.marker_pitch_mm)
+    served = on_lattice(np.zeros_like(rest_mm), np.ones(len(rest_mm), bool), weights)[:, 2] > 0
+    visible = np.isfinite(steps[:length]).all(-1).reshape(-1, served.size)
+    assert (visible == served).all()
 
 
 def test_a_batch_is_told_less_in_training_and_all_it_was_told_otherwise(pressed_source, config):
