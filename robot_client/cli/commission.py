@@ -152,7 +152,7 @@ async def _commission(probing: Probing, probes_n: int, path: Path, record: Recor
         show(f"pictures and arm are late by at most {record.late_s * 1e3:.0f} ms together; `insert` reckons with that")
     if record.labelled_n >= probes_n and not reason:
         show(f"{record.labelled_n} probes done. The service's recordings hold them; to learn from them:")
-        show("  tactile-insertion adapt RECORDINGS --from models/pressing/checkpoint.pt --out models/adapted")
+        show(f"  python -m training adapt RECORDINGS --record {path} --from models/pressing/checkpoint.pt")
     show(f"record: {path}")
     result = {"named": list(record.named), "probes": record.labelled_n, "record": str(path), "reason": reason}
     return Outcome(not record.named and not reason, result)

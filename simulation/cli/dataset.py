@@ -71,6 +71,10 @@ def asked_manifest(options: CollectOptions) -> Manifest:
     except ContractError as error:
         raise DatasetError(f"--sensor: {error}") from error
     scenes = {name: scene_of(name, sensor) for name in options.objects}
+    if ignored := [name for name, scene in scenes.items() if sensor not in (None, scene.sensor)]:
+        raise DatasetError(
+            f"--sensor {options.sensor}: {', '.join(ignored)} has its own; name objects, or use --around"
+        )
     sensors = {scene.sensor for scene in scenes.values()}
     if len(sensors) > 1:
         raise DatasetError(f"the scenes have sensors {', '.join(sorted(map(str, sensors)))}: a dataset has one")

@@ -1,5 +1,6 @@
 """Choose the stage that suits a cell, on held-out fixtures, and decide whether it may replace the release."""
 
+import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
 
+from reporting.machine import commit
 from reporting.table import table
 from service.contract import ContractError
 from training.adapt.frames import Gap, framed
@@ -68,7 +70,7 @@ class Comparison:
             ("90 % coverage yaw", "coverage90_theta", ".0%"),
         )
         conclusion = f"accepted: {self.best}" if self.accepted else f"the release stays: {'; '.join(self.objections)}"
-        held = f"{self.samples_n} attempts of {self.fixtures_n} fixtures, every figure on fixtures held out"
+        held = f"{self.samples_n} first attempts of {self.fixtures_n} fixtures, every figure on fixtures held out"
         return "\n".join((table(rows, *columns).text(), held, *self._gap_text(), conclusion))
 
     def _gap_text(self) -> Iterable[str]:
@@ -83,18 +85,22 @@ def adapt(
     out: Path,
     *,
     around: Path | None = None,
+    record: Path | None = None,
     stages: Iterable[StageName] = STAGES,
     seed: int = 0,
 ) -> Comparison:
     """Fit the released checkpoint ``start`` to ``recordings``; write ``out/checkpoint.pt`` if it is accepted.
 
-    ``around``: a dataset of presses simulated around the cell, for the stage of that name. Raises ContractError where
-    there is nothing to learn from, or the checkpoint reads no depth.
+    ``around``: a dataset of presses simulated around the cell, for the stage of that name. ``record``: of the cell's
+    commissioning, see `read_episodes`. Raises ContractError where there is nothing to learn from, where the checkpoint
+    reads no depth, or where it was adapted to some of these recordings: no figure would be on held-out ones.
     """
     release = Checkpoint.load(start)
     if release.pressing is None:
         raise ContractError(f"{start} holds a {release.network.kind} network, expected one that reads steps of depth")
-    samples = read_episodes(recordings, release.sensor)
+    samples = read_episodes(recordings, release.sensor, record)
+    if known_n := len(set(_learnt_from(release)) & set(_digests(samples))):
+        raise ContractError(f"{start} was adapted to {known_n} of these recordings; adapt the release that it is from")
     predicted = trainer_of(release.build(), samples).predict(np.arange(len(samples)), pictures=False)
     samples, gap = framed(samples, predicted.error)
     presses = presses_around(around, release, out) if around else None
@@ -136,7 +142,7 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
         few = (
             f"{len(groups)} first attempts of {fixtures_n} fixtures, expected {FEWEST} of {FOLDS} at least: probe more"
         )
-        return Comparison({}, "released", (few,), len(samples), fixtures_n)
+        return Comparison({}, "released", (few,), len(groups), fixtures_n)
     predictions = {stage: pair.take(first) for stage, (pair, _) in held.items()}
     folds = folds_of(groups, seed)
     fair = {stage: _fair(stage, release, one, folds) for stage, one in predictions.items()}
@@ -147,7 +153,7 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
     best = next((stage for stage in likelier if not against[stage]), by_loss[0])
     objections = against.get(best, ("no stage is likelier than the release",))
     described = {stage: {**figures(one), "likelihood": float(losses[stage].mean())} for stage, one in fair.items()}
-    return Comparison(described, best, objections, len(samples), fixtures_n)
+    return Comparison(described, best, objections, len(groups), fixtures_n)
 
 
 def _fair(stage: StageName, release: Checkpoint, predictions: Predictions, folds: list[Rows]) -> Predictions:
@@ -179,7 +185,8 @@ def _fitted(
     lineage: dict[str, JsonValue] = {
         "from": release.weights_sha256(),
         "attempts": samples.sha256,
-        "attempts_n": comparison.samples_n,
+        "attempts_n": len(samples),
+        "recordings": [*_learnt_from(release), *_digests(samples)],
         "fixtures_n": comparison.fixtures_n,
         "stage": comparison.best,
         "presses": presses.sha256 if around and presses else None,
@@ -192,8 +199,21 @@ def _fitted(
         weights={name: value.detach().clone() for name, value in network.state_dict().items()},
         scales=calibrated(release.scales, pair),
         joint_scales=calibrated(release.joint_scales, joint),
+        figures={"validation/all": dict(comparison.figures[comparison.best])},
+        git_commit=commit(),
         run={**release.run, "adapted": lineage},
     )
+
+
+def _learnt_from(release: Checkpoint) -> list[str]:
+    """Digests of the recordings that a checkpoint was adapted to, empty for one that is as trained."""
+    adapted = release.run.get("adapted")
+    listed = adapted.get("recordings") if isinstance(adapted, dict) else None
+    return [str(one) for one in listed] if isinstance(listed, list) else []
+
+
+def _digests(samples: Pressed) -> list[str]:
+    return [hashlib.sha256(name.encode()).hexdigest()[:12] for name in np.unique(samples.groups).tolist()]
 
 
 def _losses(predictions: Predictions) -> NDArray[np.float64]:

@@ -97,6 +97,7 @@ def adapt(
     start: Annotated[Path, tyro.conf.arg(name="from")],
     out: Path = Path("runs/adapted"),
     around: Path | None = None,
+    record: Path | None = None,
     json: Path | None = None,
     seed: int = 0,
 ) -> int:
@@ -110,6 +111,8 @@ def adapt(
         start: released checkpoint.
         out: folder of the new checkpoint.pt; `python -m export onnx` makes a model folder of it.
         around: dataset of simulated presses of the cell's objects, from `collect --around`, for one more stage.
+        record: record of the cell's commissioning; of all probes only those that it lists count, and not those before
+            a mistake was repaired, or with another gel.
         json: file for the verdict as data.
         seed: seed of folds and batches.
     """
@@ -120,7 +123,7 @@ def adapt(
     from training.adapt.adapt import report as plain_data
 
     torch.set_num_threads(1)
-    comparison = fit(recordings, start, out, around=around, seed=seed)
+    comparison = fit(recordings, start, out, around=around, record=record, seed=seed)
     print(comparison.text())
     if json is not None:
         write_json(json, plain_data(comparison))

@@ -29,22 +29,25 @@ class Attempt(NamedTuple):
     """One attempt with its error (mm, deg), from a PROBE, from WORK or from LATER work; fields as in `Pressed`.
 
     All attempts of a recording belong to one ``fixture``, one grasp of the object: cross-validation never splits them.
+    Its name is the recording's.
     """
 
     known_of: str
     error: tuple[float, float]
     steps: NDArray[np.float32]
     conditions: NDArray[np.float32]
-    fixture: int
+    fixture: str
 
 
-def read_episodes(root: Path, sensor: Sensor) -> Pressed:
+def read_episodes(root: Path, sensor: Sensor, record: Path | None = None) -> Pressed:
     """All attempts below ``root`` with a known error, in order of time, as training samples.
 
-    Raises ContractError where there is none, or where an attempt was recorded on another lattice.
+    ``record`` of a commissioning: of all probes, only those that it lists. Raises ContractError where there is none, or
+    where an attempt was recorded on another lattice.
     """
     folders = sorted(path.parent for path in root.glob("*/summary.json"))
-    attempts = [attempt for number, folder in enumerate(folders) for attempt in _attempts(folder, number)]
+    listed = None if record is None else _listed(record)
+    attempts = [attempt for folder in folders for attempt in _attempts(folder, listed)]
     if not attempts:
         raise ContractError(
             f"{root}: {len(folders)} recordings and no attempt whose error is known; expected probes or insertions that"
@@ -62,7 +65,7 @@ def pressed_of(attempts: list[Attempt], sensor: Sensor) -> Pressed:
             raise ContractError(f"an attempt holds steps {list(attempt.steps.shape)}, expected {LATTICE}")
         kept = attempt.steps[:STEPS]
         row[: len(kept)] = np.where(kept[..., 2:] > 0, kept[..., :2], np.nan)
-    names = np.array([f"fixture-{attempt.fixture:05d}" for attempt in attempts])
+    names = np.array([attempt.fixture for attempt in attempts])
     digest = hashlib.sha256(fields.tobytes() + names.tobytes())
     conditions = np.array([attempt.conditions for attempt in attempts], np.float32)
     return Pressed(
@@ -79,16 +82,31 @@ def pressed_of(attempts: list[Attempt], sensor: Sensor) -> Pressed:
     )
 
 
-def _attempts(folder: Path, number: int) -> Iterator[Attempt]:
+def _listed(record: Path) -> frozenset[str]:
+    """The probes of a cell that was wired right, by insertion."""
+    try:
+        stated = json.loads(record.read_text(encoding="utf-8"))
+        named, probes = stated["named"], [*stated["signs"], *stated["probes"]]
+        listed = frozenset(str(probe["insertion_id"]) for probe in probes)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ContractError(f"{record} is no record of a commissioning: {error}") from error
+    if named:
+        raise ContractError(f"{record} names mistakes, and its probes have wrong labels: {'; '.join(named)}")
+    return listed
+
+
+def _attempts(folder: Path, listed: frozenset[str] | None) -> Iterator[Attempt]:
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         shown = [_shown(path) for path in sorted(folder.glob("attempt_*.npz"))]
     except (OSError, ValueError, KeyError) as error:
         raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
+    if summary.get("purpose") == "probe" and listed is not None and summary.get("insertion_id") not in listed:
+        return
     first = PROBE if summary.get("purpose") == "probe" else LATER if summary.get("continues") else WORK
     for index, (off, (inputs, _)) in enumerate(zip(_errors(summary, [move for _, move in shown]), shown, strict=False)):
         if off is not None and inputs is not None:
-            yield Attempt(LATER if index else first, off, *inputs, number)
+            yield Attempt(LATER if index else first, off, *inputs, folder.name)
 
 
 def _shown(path: Path) -> tuple[tuple[NDArray[Any], NDArray[Any]] | None, tuple[float, float]]:

@@ -239,5 +239,7 @@ def test_as_many_trials_as_are_asked_are_made_and_a_folder_keeps_its_shards(tmp_
     with DatasetWriter(tmp_path, few):
         more = asked_manifest(CollectOptions(out=tmp_path, trials_per_object=600, objects=("circle",)))
     assert more.trials_per_shard == 4
+    with pytest.raises(DatasetError, match="--sensor gelsight_mini: drawn has its own"):
+        asked_manifest(CollectOptions(out=tmp_path / "other", objects=("drawn",), sensor="gelsight_mini"))
     fresh = asked_manifest(CollectOptions(out=tmp_path / "new", trials_per_object=600, objects=("circle",)))
     assert fresh.trials_per_shard == 250

@@ -51,12 +51,13 @@ def recorded(root, count, off_mm=0.0, seed=0, *, stated_right=True, work=False):
     return root
 
 
-def keep(folder, attempts, purpose, outcome, x_mm, theta_deg):
+def keep(folder, attempts, purpose, outcome, x_mm, theta_deg, **facts):
     folder.mkdir(parents=True)
     for number, (steps, decision) in enumerate(attempts, 1):
         path = folder / f"attempt_{number:02d}.npz"
         np.savez(path, steps=steps, conditions=CONDITIONS, decision=np.array(json.dumps(decision)))
     summary = {"purpose": purpose, "outcome": outcome, "approach": {"x_mm": x_mm, "yaw_deg": theta_deg}}
+    summary |= {"insertion_id": folder.name, **facts}
     (folder / "summary.json").write_text(json.dumps(summary))
 
 
@@ -89,10 +90,28 @@ def test_errors_are_those_told_of_probes_and_the_moves_that_were_left_of_inserti
     keep(tmp_path / "b", list(zip(shown, moves, strict=False)), "insert", "inserted", 5.5, -2.0)
     keep(tmp_path / "c", [(shown[0], blank)], "insert", "failed", 5.5, -2.0)
     keep(tmp_path / "d", [(shown[0], blank)], "timing", "failed", 8.0, 8.0)
+    keep(tmp_path / "e", [(shown[0], moves[1])], "insert", "inserted", 1.0, 0.0, continues="b")
     read = read_episodes(tmp_path, Sensor.load())
-    assert read.error.tolist() == [[-7.0, 3.0], [5.0, -2.5], [1.0, -0.5]]
-    assert read.length.tolist() == [8, 8, 8]
-    assert read.objects.tolist() == ["probe", "work", "later"]
+    assert read.error.tolist() == [[-7.0, 3.0], [5.0, -2.5], [1.0, -0.5], [1.0, -0.5]]
+    assert read.length.tolist() == [8, 8, 8, 8]
+    assert read.objects.tolist() == ["probe", "work", "later", "later"]
+
+
+def test_of_all_probes_only_those_count_that_the_record_of_a_commissioning_lists(tmp_path):
+    recorded(tmp_path / "runs", 5)
+    record = tmp_path / "commissioning.json"
+
+    def read(**stated):
+        record.write_text(json.dumps({"named": [], "signs": [], "probes": [], **stated}))
+        return read_episodes(tmp_path / "runs", Sensor.load(), record)
+
+    listed = [{"insertion_id": "0001"}, {"insertion_id": "0004"}]
+    assert read(signs=listed[:1], probes=listed[1:]).groups.tolist() == ["0001", "0004"]
+    with pytest.raises(ContractError, match="names mistakes, and its probes have wrong labels: x reversed"):
+        read(signs=listed, named=["x reversed"])
+    record.write_text("{}")
+    with pytest.raises(ContractError, match="is no record of a commissioning"):
+        read_episodes(tmp_path / "runs", Sensor.load(), record)
 
 
 def test_an_unseen_point_counts_for_nothing(tmp_path):
@@ -114,6 +133,9 @@ def test_a_cell_that_is_off_is_learnt_from_work(release, tmp_path, stages):
     assert after["coverage90_x"] > 0.8
     made = Checkpoint.load(tmp_path / "out" / "checkpoint.pt")
     assert made.run["adapted"]["stage"] == comparison.best
+    assert made.figures == {"validation/all": after}, "not those of the release"
+    with pytest.raises(ContractError, match="was adapted to 80 of these recordings"):
+        adapt(tmp_path / "runs", tmp_path / "out" / "checkpoint.pt", tmp_path / "again")
     assert made.weights_sha256() != Checkpoint.load(release).weights_sha256() or comparison.best == "calibration"
     fresh = read_episodes(recorded(tmp_path / "fresh", 40, off_mm=6.0, seed=1, work=True), made.sensor)
     again, was = (compared(one, fresh).figures["released"] for one in (made, Checkpoint.load(release)))
