@@ -148,10 +148,14 @@ train: $(VENV)/ready ## train the released networks from PROBES, those that read
 	$(BIN)/python -m training train training/configs/compact.toml --data $(PROBES)
 	$(BIN)/python -m training train training/configs/compact-long.toml --data $(PROBES)
 
-pressing: $(VENV)/ready ## collect PRESS_TRIALS presses of drawn cells in PRESSES, train the networks that read depth, export them into PRESS_MODELS and verify them; resumable
+pressing: $(VENV)/ready ## collect PRESS_TRIALS presses of drawn cells in PRESSES, train the networks that read depth, measure how objects creep under them, export them into PRESS_MODELS and verify them; resumable
 	$(BIN)/python -m simulation collect --objects drawn --trials-per-object $(PRESS_TRIALS) --trials-per-shard 100 --out $(PRESSES)
 	$(BIN)/python -m training train training/configs/pressing.toml --data $(PRESSES)
 	$(BIN)/python -m training depths runs/pressing
+	$(BIN)/python -m export onnx runs/pressing/checkpoint.pt --out $(PRESS_MODELS)
+	$(BIN)/python -m simulation drawn-worlds --models $(PRESS_MODELS) --older none --count 150 --drawn-n 150 --seed 9702 \
+	  --layer-share 0.1 --out runs/pressing/played --docs runs/pressing/played
+	$(BIN)/python -m training expect runs/pressing/checkpoint.pt runs/pressing/played/insertions.jsonl
 	$(BIN)/python -m export onnx runs/pressing/checkpoint.pt --out $(PRESS_MODELS)
 	cp runs/pressing/checkpoint.pt $(PRESS_MODELS)
 	for folder in $(PRESS_MODELS) $(PRESS_MODELS)/joint; do $(BIN)/python -m export verify $$folder || exit 1; done

@@ -92,6 +92,9 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int) -> dict[str, 
             at.epoch, at.minutes = at.epoch + 1, scalars["minutes"]
             if parallel.first():
                 _save(path, network, optimiser, schedule, at)
+    if at.minutes > config.max_minutes and at.epoch < config.epochs and parallel.first():
+        after = f"after {at.epoch} of {config.epochs} epochs: max_minutes = {config.max_minutes:g}"
+        print(f"{stage.name}: ENDED EARLY {after}")
     if at.best_state:
         network.load_state_dict(at.best_state)
     return _validate(network, stage)

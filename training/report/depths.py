@@ -182,14 +182,16 @@ def _parts(checkpoint: Checkpoint, measured_sha256: str, data: dict[str, Any]) -
         `{checkpoint.training_data_sha256[:12]}` at commit `{checkpoint.git_commit[:12]}` and measured on data
         `{measured_sha256[:12]}`; all figures are simulated. Each decision uses a camera of another rate, the tracker's
         error, and gap width, grasp height, grip and shear reach as a cell states them. `test` holds cells from other
-        draws than those of the training. Intervals are 95 % Wilson intervals.
+        draws than those of the training. Confidence and intervals were calibrated on `validation`, where coverage at
+        {depth} therefore holds by construction. Shares have 95 % Wilson intervals.
         """
     yield _table(data["depths"])
     yield """
         ## Deciding early
 
         The same decisions, made at the first step at which the likeliest direction reaches the probability in the first
-        column. *Saved* is the share of the pressing that this avoids. A real cell always presses to the full depth.
+        column. *Saved* is the share of the pressing that this avoids. A cell presses [0.75 mm as
+        shipped](decisions/0079-the-depth-of-a-decision.md).
         """
     yield _table(data["sure"], ("saved", "1.saved", ".1%"), first="sure")
     yield """

@@ -46,7 +46,7 @@ def test_a_killed_run_resumes_to_the_same_weights(trained, config, source, monke
 
 
 @pytest.mark.parametrize("limit", [{"patience": 1}, {"max_minutes": 1e-9}])
-def test_a_stage_that_ended_early_is_not_trained_on_by_a_second_call(tmp_path, limit):
+def test_a_stage_that_ended_early_is_not_trained_on_by_a_second_call(tmp_path, limit, capsys):
     network, epochs = torch.nn.Linear(1, 1), []
 
     def batches(_):
@@ -70,6 +70,7 @@ def test_a_stage_that_ended_early_is_not_trained_on_by_a_second_call(tmp_path, l
     assert 1 <= done < 5
     play()
     assert len(epochs) == done
+    assert ("toy: ENDED EARLY after 1 of 5 epochs" in capsys.readouterr().out) == ("max_minutes" in limit)
 
 
 def test_a_checkpoint_names_its_run_but_no_place_of_the_machine(trained):
