@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -95,10 +96,12 @@ class Probing:
     def __init__(self, settings: Settings, taught: CycleSettings, out: Path) -> None:
         self._settings, self._taught, self._out = settings, taught, out
         self._rate_hz, self._kept = RATE_HZ, KeptGripper(settings.make_gripper())
+        self.late_s: Callable[[], float | None] = lambda: None  # as far as it is measured
 
     async def probe(self, x_mm: float, theta_deg: float, *, until_slip: bool = False) -> Ended:
-        how = {"purpose": "probe", "until_slip": until_slip}
-        return await self._run(make_plan(self._settings, x_mm, theta_deg, None, None).model_copy(update=how))
+        plan = make_plan(self._settings, x_mm, theta_deg, None, None)
+        how = {"purpose": "probe", "until_slip": until_slip, "lease": plan.lease.late_by(self.late_s())}
+        return await self._run(plan.model_copy(update=how))
 
     async def press_at(self, x_mm: float, theta_deg: float, fast: bool) -> Ended:
         plan = make_plan(self._settings, x_mm, theta_deg, None, None)
@@ -115,9 +118,11 @@ class Probing:
         return Ended(done, state.phase, state.reason, felt.gels, watch.stop)
 
     async def begin(self) -> None:
-        """Raise DriverError if the hand is not empty: it does not hold the object of the fixture."""
-        if not await self._settings.errands.with_gripper(lambda gripper: is_empty(gripper, self._taught.open_mm)):
+        """Open the empty hand, which goes down to the fixture next; raises DriverError if it holds something."""
+        with_gripper = self._settings.errands.with_gripper
+        if not await with_gripper(lambda gripper: is_empty(gripper, self._taught.open_mm)):
             raise DriverError("gripper: holds something; put the object into the fixture and open the fingers")
+        await with_gripper(lambda gripper: gripper.release(self._taught.open_mm))
 
     async def leave(self) -> None:
         """Release the gripper's connection if presses have kept it."""
@@ -137,6 +142,7 @@ async def _commission(probing: Probing, probes_n: int, path: Path, record: Recor
     draw = errors(record.seed, *REACH, FITS)
     press = partial(probing.probe, until_slip=True) if presses else None
     running = Commissioning(path, record, probing.probe, probing.fetch, draw, show, press, probing.press_at)
+    probing.late_s = lambda: running.record.late_s
     reason = ""
     try:
         await probing.begin()

@@ -120,7 +120,8 @@ class Cycle:
         shown = ""
         while not self.pace.ending:
             waits = "paused" if self.pace.paused else "waiting for the PLC" if self.plc else ""
-            if not self.pace.paused and (self.plc is None or await self.plc.asked()):
+            asked = not self.pace.paused and (self.plc is None or await self.plc.asked())
+            if asked and not self.pace.paused and not self.pace.ending:  # a person may have stopped it meanwhile
                 if self.plc:
                     await self.plc.busy()
                 return True

@@ -48,6 +48,12 @@ async def to_the_end(work: Coroutine[Any, Any, None], *, interrupted: bool = Fal
         raise interrupt
 
 
+def was_cancelled() -> bool:
+    """Whether this task was interrupted, even where the interrupt came together with what it waited for."""
+    task = asyncio.current_task()
+    return task is not None and task.cancelling() > 0
+
+
 @dataclass(slots=True)
 class Runner:
     """Runs one insertion to its end. Events are handled in order of arrival, commands at once, on one event loop."""
@@ -93,6 +99,8 @@ class Runner:
             self.post(Failure(at_s=time.monotonic(), source="operator", code="stop", detail="interrupted"))
         finally:
             await to_the_end(self._close(), interrupted=interrupted)
+        if was_cancelled() and not self.state.reason.startswith("operator"):
+            raise asyncio.CancelledError  # it ended in the same moment: nothing else may begin
         return self.state
 
     def post(self, event: Event) -> None:

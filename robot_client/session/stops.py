@@ -1,5 +1,7 @@
 """Where an attempt stopped because of what was pressed, and what is known of its contact."""
 
+import math
+
 from robot_client.insertion.events import Event, FromService, Standstill
 from robot_client.insertion.state import Phase, State
 from service.contract import wire
@@ -32,25 +34,30 @@ class Stop(Contract):
 class StopWatch:
     """Observer that keeps the stop of an attempt that ends because it was pressed enough, or slips, until the next one.
 
-    A slip without a known press is no stop.
+    None is kept after a slip without a known press, nor where the arm stood on the way for want of a judged frame: then
+    its travel is not its speed times the time.
     """
 
     def __init__(self) -> None:
         self.stop: Stop | None = None
         self._ordered: tuple[float, float, float] | None = None
         self._judged_ns: list[int] = []
+        self._until_s, self._paused = math.inf, False
 
     def on_event(self, state: State, event: Event) -> None:
         """``event`` has led to ``state``."""
         if state.phase is Phase.ARMING:
             self.stop = self._ordered = None
             self._judged_ns = []
+            self._until_s, self._paused = math.inf, False
         descends = state.phase is Phase.DESCENDING
+        self._paused |= event.at_s >= self._until_s
+        self._until_s = state.until_s if descends else math.inf
         if descends and isinstance(event, FromService) and isinstance(event.message, wire.Watching):
             self._judged_ns.append(event.message.frame_captured_ns)
         if isinstance(event, FromService) and isinstance(event.message, wire.Enough | wire.Slip) and state.clock:
             pressed_mm = event.message.pressed_mm
-            if state.phase is Phase.STOPPING and self._ordered is None and pressed_mm is not None:
+            if state.phase is Phase.STOPPING and self._ordered is None and pressed_mm is not None and not self._paused:
                 stamp_s = state.clock.ours_s(event.message.captured_ns, event.at_s) + 0.5 * state.clock.uncertainty_s
                 self._ordered = state.speed_mm_s, event.at_s - stamp_s, pressed_mm
         elif isinstance(event, Standstill) and self._ordered and state.armed and self.stop is None:

@@ -9,7 +9,7 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Limits, Motion, check_pose
 from robot_client.insertion.motion import Ramps
 from robot_client.ports import Arm, DriverError, Gripper
-from robot_client.session.runner import to_the_end
+from robot_client.session.runner import to_the_end, was_cancelled
 
 Way = Callable[[WorkPose], Sequence[tuple[WorkPose, Motion]]]
 """The corners from the arm's present pose, and the motion to each."""
@@ -61,6 +61,8 @@ class Errands:
                 arm.move(corner, motion)
                 wait_s = 1.5 * self.ramps.duration_s(here, corner, motion) + self.motion_s
                 event = await asyncio.wait_for(events.get(), wait_s)
+                if was_cancelled():
+                    raise asyncio.CancelledError
                 if isinstance(event, Failure):
                     raise DriverError(f"{event.source}: {event.code}: {event.detail}")
                 assert isinstance(event, Arrived)

@@ -176,6 +176,7 @@ class InsertionManager:
         session.decider = before and before.afresh(hello.insertion_id)
         session.deadlines = self.settings.deadlines
         recorder = self._recorder(hello.insertion_id, session, before.insertion_id if before else "")
+        self.jpegs = {}
         insertion = Insertion(session, recorder, None, self._publish, self.hub.observation, jpegs=self.jpegs)
         insertion.continues, insertion.tried_n = hello.continues, self._tried_n if before else 0
         if self.versions and recorder:  # an insertion without a recording is no evidence
@@ -233,7 +234,8 @@ class InsertionManager:
             return
         self._ended[finished.insertion_id] = finished
         self._decided = insertion.session.decider
-        descended_n = finished.attempts - (finished.cause == "afresh")  # before a regrasp the last one was refused
+        refused = finished.cause == "afresh" and not finished.doubts  # the last attempt, before it descended
+        descended_n = finished.attempts - refused
         self._tried_n = insertion.tried_n + descended_n
         while len(self._ended) > REMEMBERED_N:
             self._ended.popitem(last=False)

@@ -44,7 +44,7 @@ class KeptGripper(Gripper):
         await self._gripper.close()
 
     def _forward(self, event: Event) -> None:
+        if isinstance(event, Failure | PartLost):
+            self._missed = event  # also if a probe hears it: it may have ended already
         if self._post:
             self._post(event)
-        elif isinstance(event, Failure | PartLost):
-            self._missed = event

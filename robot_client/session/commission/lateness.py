@@ -16,6 +16,7 @@ from service.contract.frames import Contract
 PLACE = (8.0, 8.0)
 """Error of these presses, mm and deg: a corner of the object stands on one block."""
 FAST_MM_S, SLOWEST_MM_S, SLOW_SHARE, LEAST_RATIO = 10.0, 3.0, 0.4, 1.5
+RATE_SHARE = 0.95  # a camera's rate that is measured again may be this much lower
 FASTS_N, MOST_N = 2, 12
 """Fast presses that are needed, and presses at most: one whose contact is not known tells nothing."""
 STICKS, SLIDES = 0.5, 1.0
@@ -35,7 +36,7 @@ def slow_and_fast(plan: Plan, rate_hz: float) -> tuple[Plan, Plan]:
 
     ``rate_hz``: frames a second of the cameras.
     """
-    fast_mm_s = min(FAST_MM_S, plan.limits.max_descent_speed_mm_s, plan.lease.fastest_mm_s(rate_hz))
+    fast_mm_s = min(FAST_MM_S, plan.limits.max_descent_speed_mm_s, plan.lease.fastest_mm_s(RATE_SHARE * rate_hz))
     slow_mm_s = max(SLOWEST_MM_S, SLOW_SHARE * fast_mm_s)
     if fast_mm_s < LEAST_RATIO * slow_mm_s:
         allowed = f"{fast_mm_s:.1f} mm/s, as limits and cameras of {rate_hz:.0f} frames a second allow"

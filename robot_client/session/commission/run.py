@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
+from robot_client.insertion.limits import LimitError
 from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
 from robot_client.session.commission.lateness import PLACE, Press, late_s, next_is_fast
@@ -103,15 +104,19 @@ class Commissioning:
     async def _timed(self, press_at: Callable[[float, float, bool], Awaitable[Ended]]) -> tuple[Press, ...]:
         """The presses at two speeds, all in one grasp; none if they do not tell how late the cell is."""
         await self.fetch()
-        series: list[Press] = []
+        series, why = list[Press](), ""
         while (fast := next_is_fast(series)) is not None:
             title = f"{'fast' if fast else 'slow'} press {len(series) + 1}"
-            stop = self._checked(title, await press_at(*PLACE, fast)).stop
-            at = f"stopped at {stop.depth_mm:.2f} mm" if stop else "not stopped by what was pressed"
+            try:
+                stop = self._checked(title, await press_at(*PLACE, fast)).stop
+            except LimitError as error:
+                why = f" ({error})"
+                break
+            at = f"stopped at {stop.depth_mm:.2f} mm" if stop else "not stopped by what was pressed, or it paused"
             self.show(f"{title}: {at}")
             series.append(Press(fast=fast, stop=stop))
         if late_s(series) is None:
-            self.show("HOW LATE pictures and arm are IS NOT KNOWN: see lease.stop_lag_s")
+            self.show(f"HOW LATE pictures and arm are IS NOT KNOWN{why}: see lease.stop_lag_s")
             return ()
         return tuple(series)
 

@@ -10,6 +10,24 @@ from robot_client.session.commission.kept_gripper import KeptGripper
 from tests.robot_client.grippers.wsg50.test_driver import story
 
 
+def test_a_part_that_is_lost_while_a_press_closes_is_reported_in_the_next():
+    async def lost(cell):
+        kept = KeptGripper(cell.driver)
+        await kept.start(cell.events.put_nowait)
+        kept.grasp()
+        await cell.until(Grasped)
+        cell.board.update({"gripper": {"part_lost": True}})
+        await cell.until(PartLost)
+        await kept.close()  # the press had ended before: it took no notice
+        await kept.start(cell.events.put_nowait)
+        event = await cell.until(PartLost)
+        await kept.leave()
+        cell.driver = Wsg50(cell.driver.settings)
+        return event
+
+    assert isinstance(story(lost), PartLost)
+
+
 @pytest.mark.parametrize("keeps", [True, False])
 def test_the_object_of_one_press_is_known_to_be_held_in_the_next(keeps):
     async def grasped(cell):

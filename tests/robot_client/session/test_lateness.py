@@ -12,7 +12,7 @@ from robot_client.insertion.events import Standstill
 from robot_client.insertion.lease import PAUSE_S, Lease
 from robot_client.insertion.limits import LimitError
 from robot_client.insertion.pace import Pace
-from robot_client.insertion.state import State
+from robot_client.insertion.state import Phase, State
 from robot_client.session.commission.lateness import MOST_N, PLACE, Press, late_s, next_is_fast, slow_and_fast
 from robot_client.session.commission.record import Record, keep_record, read_record
 from robot_client.session.commission.wiring import SIDES
@@ -99,6 +99,20 @@ def test_a_press_is_kept_with_its_speed_its_age_and_where_the_arm_stood(order):
     assert watch.stop.past_contact_mm(0.05) == pytest.approx(0.8 + 10.0 * 0.07, abs=0.01)
 
 
+@pytest.mark.parametrize(("judged_s", "kept"), [((0.1, 0.2), True), ((0.1,), False)])
+def test_a_press_in_which_the_arm_stood_for_want_of_a_frame_tells_nothing(judged_s, kept):
+    """Its target stood, so its travel is not its speed times the time: it would seem hardly late at all."""
+    watch, state = StopWatch(), State(PLAN.model_copy(update={"purpose": "timing"}))
+    pairs = [service(watching(1, at_s), at_s) for at_s in judged_s]
+    lasts_s = PLAN.lasts_s(fast=False)
+    order = service(ENOUGH.model_copy(update={"captured_ns": 150_000_000}), 0.1 + lasts_s + 0.01)
+    for event in [*TO_DESCENT, *pairs, order, at(APPROACH.at_height(28.0), Standstill)]:
+        state, _ = run([event], state)
+        watch.on_event(state, event)
+    assert state.phase is Phase.DECIDING
+    assert (watch.stop is not None) == kept
+
+
 def test_a_slip_without_a_known_contact_is_no_press():
     watch, state = StopWatch(), State(PLAN.model_copy(update={"purpose": "timing"}))
     for event in [*TO_DESCENT, service(slip(1), 0.05), at(APPROACH.at_height(28.0), Standstill)]:
@@ -107,7 +121,7 @@ def test_a_slip_without_a_known_contact_is_no_press():
     assert watch.stop is None
 
 
-@pytest.mark.parametrize(("rate_hz", "slow", "fast"), [(60.0, 4.0, 10.0), (15.0, 3.75, 9.375), (10.0, 3.0, 7.143)])
+@pytest.mark.parametrize(("rate_hz", "slow", "fast"), [(60.0, 4.0, 10.0), (15.0, 3.630, 9.076), (10.0, 3.0, 6.884)])
 def test_the_fast_press_is_as_fast_as_cameras_and_limits_allow(rate_hz, slow, fast):
     legs = PLAN.model_copy(update={"pace": PLAN.pace.model_copy(update={"fast_mm_s": 20.0})})
     plans = slow_and_fast(legs, rate_hz)
@@ -154,6 +168,15 @@ def test_a_series_that_tells_nothing_is_not_kept_and_made_again(tmp_path):
     assert len(cell.presses) == MOST_N
     cell.blind, cell.presses = False, []
     assert timed(cell, path, read_record(path)).late_s == pytest.approx(0.08 + 0.5 * FRAME_S)
+
+
+def test_a_cell_that_cannot_be_timed_is_probed_all_the_same(tmp_path):
+    class TooSlow(Pressed):
+        async def press_at(self, *_):
+            raise LimitError("presses at 3 and at 4.0 mm/s do not tell how late pictures and arm are")
+
+    record = timed(TooSlow(), tmp_path / "record.json")
+    assert (record.late_s, record.labelled_n) == (None, 6)
 
 
 def test_a_cell_with_the_wrong_signs_is_not_timed(tmp_path):

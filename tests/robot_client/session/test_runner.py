@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from robot_client.cli import jog, terminal
-from robot_client.insertion.events import Failure
+from robot_client.insertion.events import Arrived, Failure
 from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
 from robot_client.session.recorder import Recorder
@@ -105,6 +105,49 @@ def test_an_interrupt_while_a_step_closes_by_itself_keeps_the_next_step_from_beg
         with pytest.raises(asyncio.CancelledError):
             await task
         assert "stopped arm" in notes
+
+    asyncio.run(story())
+
+
+@pytest.mark.parametrize("moving", ["insertion", "way"])
+def test_an_interrupt_in_the_moment_in_which_a_step_ends_is_not_lost(moving):
+    """`wait_for` returns what it has waited for, and forgets that the task was cancelled."""
+
+    async def story():
+        notes, moves = [], []
+        run = runner(notes)
+        arm = Port("arm", notes)
+        for port in (run.arm, run.service, run.gripper, arm):
+            port.closing.set()
+        task = None
+
+        def together(what):
+            what()
+            task.cancel()
+
+        async def start(post):
+            arm.post = post
+            return PLAN.approach
+
+        def move(target, _motion):
+            moves.append(target)
+            arrived = Arrived(at_s=0.0, pose=target)
+            asyncio.get_running_loop().call_later(0.02, together, lambda: arm.post(arrived))
+
+        arm.start, arm.move = start, move
+        corners = [(PLAN.approach, "travel"), (PLAN.approach.at_height(50.0), "travel")]
+        steps = {
+            "insertion": run.run,
+            "way": lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0).go(lambda _here: corners),
+        }
+        task = asyncio.ensure_future(steps[moving]())
+        ended = Failure(at_s=0.0, source="service", code="link", detail="gone")
+        if moving == "insertion":
+            asyncio.get_running_loop().call_later(0.05, together, lambda: run.post(ended))
+        with pytest.raises((asyncio.CancelledError, DriverError)):
+            await task
+        assert len(moves) == (moving == "way")
+        assert any(note.startswith("stopped arm") for note in notes)
 
     asyncio.run(story())
 

@@ -150,10 +150,12 @@ def test_an_insertion_goes_on_with_what_the_one_before_knew_where_it_names_it(
     arm = wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
     shared.receive(arm, client.send)
     decider = shared.active.session.decider
+    shared.jpegs["left", 3] = b"a picture"
     shared.abort("afresh", "turned")
     wait_for_recorders()
     shared.connect(wire.ClientHello(insertion_id="two", client="test", continues=continues), Client(shared).send)
     session = shared.active.session
+    assert not shared.jpegs, "nothing is kept from insertion to insertion"
     assert (session.decider is not None) == knows
     if knows:
         assert session.decider.controller is decider.controller
@@ -163,6 +165,19 @@ def test_an_insertion_goes_on_with_what_the_one_before_knew_where_it_names_it(
     wait_for_recorders()
     assert Recording(next(recorded.parent.glob("insertion.mcap"))).metadata["continues"] == ("one" if knows else "")
     assert shared.opened_n == 2
+
+
+@pytest.mark.parametrize(("doubts", "tried_n"), [((), 1), ((wire.Doubt(reason="moved_in_hand", detail="turned"),), 2)])
+def test_an_attempt_that_was_refused_for_a_regrasp_does_not_count_and_one_that_went_down_does(
+    models: ModelSet, tmp_path: Path, doubts: tuple[wire.Doubt, ...], tried_n: int
+) -> None:
+    shared = manager(models, tmp_path)
+    Client(shared).connect("one")
+    shared.active.session.decider = decider = object()
+    ended = wire.Finished(insertion_id="one", outcome="failed", cause="afresh", attempts=2, doubts=doubts)
+    shared._close(ended)
+    assert (shared._tried_n, shared._decided) == (tried_n, decider)
+    wait_for_recorders()
 
 
 def test_other_networks_go_on_with_nothing_that_the_ones_before_have_found(models: ModelSet, tmp_path: Path) -> None:
