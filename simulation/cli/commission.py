@@ -101,7 +101,7 @@ def main(arguments: list[str]) -> int:
 
 def _cell(options: Options, world: World, made_by: str) -> Cell:
     """The world with the objects that can be held in it; raises SceneError where none can."""
-    folder = options.json.with_suffix("") / made_by / world.name / f"seed-{options.seed}"
+    folder = options.json.with_name(f"{options.json.name}.insertions") / made_by / world.name / f"seed-{options.seed}"
     objects, refused = dict[str, Scene](), list[str]()
     for name, scene in load_objects(options.objects).items():
         try:

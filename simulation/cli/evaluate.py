@@ -129,8 +129,7 @@ def _what(options: Options) -> tuple[list[World], dict[str, Scene]]:
 def _how(options: Options) -> dict[str, Any]:
     """Fields of `Job` that all insertions share."""
     asked: dict[str, Any] = {"controller": options.controller, "perception": options.perception}
-    if options.given_reach:
-        asked["given_reach"] = True
+    asked["given_reach"] = options.given_reach
     if options.cell == "foreign":
         asked["cell"] = "foreign"
     return asked

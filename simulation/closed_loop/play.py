@@ -46,7 +46,7 @@ from simulation.closed_loop.oracle import by_the_truth, nothing_known
 from simulation.closed_loop.session import session_of
 from simulation.closed_loop.true_fields import Fault, Trouble
 from simulation.closed_loop.unseen import Unseen
-from simulation.scene.state import PhysicsError
+from simulation.scene.state import PhysicsError, TouchingError
 from simulation.scene.unstated import Unstated
 
 MAX_FRAMES = 4000  # at 30 frames per second and 10 mm/s
@@ -98,7 +98,7 @@ class Insertion:
         cell, void = self.cell, ""
         try:
             self._play()
-        except (PhysicsError, GraspEndError) as stuck:
+        except (PhysicsError, GraspEndError, TouchingError) as stuck:
             void = f"physics: {stuck}"
         troubles, claimed = self._troubles.values(), self.state.phase is Phase.INSERTED
         in_gap = cell.state.inserted and not void and not any(trouble.gone for trouble in troubles)

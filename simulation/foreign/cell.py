@@ -20,7 +20,7 @@ from simulation.foreign.yielding import Creep
 from simulation.scene.effects import Active, active_effects
 from simulation.scene.ground_truth import Pose, reasons_against
 from simulation.scene.scene import Scene
-from simulation.scene.state import CellState, PhysicsError
+from simulation.scene.state import CellState, PhysicsError, TouchingError
 
 Array = NDArray[np.float64]
 
@@ -175,9 +175,9 @@ class ForeignCell:
         return self.look()
 
     def tilt_to(self, tilt_deg: float) -> CellState:
-        """Tilt the hand about its own y, the object with it; only clear of the blocks, else ValueError."""
+        """Tilt the hand about its own y, the object with it; TouchingError where that touches a block."""
         if not math.isfinite(tilt_deg) or self.bodies.touching:
-            raise ValueError(f"tilt_to: expected a finite angle and an object that touches nothing, got {tilt_deg}")
+            raise TouchingError(f"tilt_to: expected a finite angle and an object that touches nothing, got {tilt_deg}")
         self.tilt_rad = math.radians(tilt_deg)
         self.bodies.hand = self._hand(self.pose)
         return self.look()

@@ -22,7 +22,7 @@ from simulation.physics.state import block_motion, rest_blocks, rotation_vector
 from simulation.scene.effects import Active, active_effects
 from simulation.scene.ground_truth import Pose, reasons_against
 from simulation.scene.scene import APPROACH_MM, Scene
-from simulation.scene.state import CellState, PhysicsError, Reason
+from simulation.scene.state import CellState, PhysicsError, Reason, TouchingError
 
 Array = NDArray[np.float64]
 
@@ -127,9 +127,9 @@ class QuasiStaticCell:
         return self.look()
 
     def tilt_to(self, tilt_deg: float) -> CellState:
-        """Tilt the hand about its own y, the object with it; only clear of the blocks, else ValueError."""
+        """Tilt the hand about its own y, the object with it; TouchingError where that touches a block."""
         if not math.isfinite(tilt_deg) or self._touching:
-            raise ValueError(f"tilt_to: expected a finite angle and an object that touches nothing, got {tilt_deg}")
+            raise TouchingError(f"tilt_to: expected a finite angle and an object that touches nothing, got {tilt_deg}")
         self.tilt_rad = math.radians(tilt_deg)
         return self.look()
 

@@ -26,6 +26,10 @@ class PhysicsError(RuntimeError):
         self.reason: Reason = reason
 
 
+class TouchingError(ValueError):
+    """The hand was to be tilted although its object touches a block."""
+
+
 @dataclass(frozen=True, slots=True)
 class CellState:
     """One moment; forces and displacements are those at the end of the last move.

@@ -1,6 +1,7 @@
 """Insertions and probes in lock step that store a recording's training data: the networks' inputs."""
 
 import json
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -35,7 +36,10 @@ def play(episode: Episode) -> Row:
     """
     done = episode.folder / "summary.json"
     if done.exists():
-        return dict(json.loads(done.read_text(encoding="utf-8"))["row"])
+        row: Row = json.loads(done.read_text(encoding="utf-8"))["row"]
+        if all(row.get(name) == value for name, value in _plain(episode.job).items()):
+            return row
+        shutil.rmtree(episode.folder)  # of another object, cell or world of the same name
     job, attempts, robot_s = Job(**episode.job), list[Attempt](), 0.0
     try:
         insertion = stage(job, models_of(episode.models))
@@ -49,6 +53,11 @@ def play(episode: Episode) -> Row:
     row = {**episode.job, **asdict(outcome), "robot_s": robot_s}
     _keep(episode, job, attempts, row)
     return row
+
+
+def _plain(job: Mapping[str, Any]) -> Row:
+    """A job as it is read back from a file."""
+    return dict(json.loads(json.dumps(job)))
 
 
 def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row) -> None:

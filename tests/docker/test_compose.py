@@ -107,7 +107,7 @@ def test_a_real_cell_inserts_only_with_the_record_that_commissioning_left_in_a_v
     monkeypatch.chdir(works_in)
     record = Path("runs", "commissioning", RECORD)
     config = "/etc/tactile/cell.toml"
-    write(outside("robot-client", config, client.volumes), f'commissioning = "{record}"\n')
+    write(outside("robot-client", config, client.volumes), f'commissioning = "{record}"\n[lease]\nstop_lag_s = 0.04\n')
     if commissioned:
         gels = {"left": "a", "right": "b"}
         keep_record(record, Record(begun="today", seed=1, signs=tuple(answers()), gels=gels))
