@@ -153,7 +153,7 @@ pressing: $(VENV)/ready ## collect PRESS_TRIALS presses of drawn cells in PRESSE
 	$(BIN)/python -m training train training/configs/pressing.toml --data $(PRESSES)
 	$(BIN)/python -m training depths runs/pressing
 	$(BIN)/python -m export onnx runs/pressing/checkpoint.pt --out $(PRESS_MODELS)
-	$(BIN)/python -m simulation drawn-worlds --models $(PRESS_MODELS) --older none --count 150 --drawn-n 150 --seed 9702 \
+	$(BIN)/python -m simulation drawn-worlds --models $(PRESS_MODELS) --older none --paper-models none --count 150 --drawn-n 150 --seed 9702 \
 	  --layer-share 0.1 --out runs/pressing/played --docs runs/pressing/played
 	$(BIN)/python -m training expect runs/pressing/checkpoint.pt runs/pressing/played/insertions.jsonl
 	$(BIN)/python -m export onnx runs/pressing/checkpoint.pt --out $(PRESS_MODELS)

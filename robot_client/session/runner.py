@@ -86,6 +86,8 @@ class Runner:
             await self.gripper.start(self.post)
             if not self.state.done:  # after a failure: no motors, no program
                 pose = await self.arm.start(self.post)
+                if was_cancelled():
+                    raise asyncio.CancelledError
                 self.post(Begin(at_s=time.monotonic(), pose=pose, held=self.gripper.held))
             due_s = time.monotonic()
             while not self._done.is_set():

@@ -58,15 +58,17 @@ class Errands:
             for corner, _ in corners:
                 check_pose(self.limits, corner)
             for corner, motion in corners:
+                if was_cancelled():
+                    raise asyncio.CancelledError
                 arm.move(corner, motion)
                 wait_s = 1.5 * self.ramps.duration_s(here, corner, motion) + self.motion_s
                 event = await asyncio.wait_for(events.get(), wait_s)
-                if was_cancelled():
-                    raise asyncio.CancelledError
                 if isinstance(event, Failure):
                     raise DriverError(f"{event.source}: {event.code}: {event.detail}")
                 assert isinstance(event, Arrived)
                 here = event.pose
+            if was_cancelled():
+                raise asyncio.CancelledError
         except TimeoutError:
             raise DriverError("robot: the arm did not arrive in time") from None
         except asyncio.CancelledError:

@@ -120,6 +120,8 @@ def decide_again(models: ModelSet, attempt: Attempt) -> Evidence:
     if card.pressing:
         if descent is None or descent.problem is not None:
             raise descent.problem if descent and descent.problem else Refusal("no_motion", "no step of depth was shown")
+        if why := card.pressing.outside(descent.conditions):  # its ranges may be narrower than the active version's
+            raise Refusal("out_of_distribution", why)
         run, shown = _run_of_steps(models, attempt, descent), list(attempt.steps[: card.pressing.steps_n])
     else:
         if attempt.network_reference is None:

@@ -152,6 +152,39 @@ def test_an_interrupt_in_the_moment_in_which_a_step_ends_is_not_lost(moving):
     asyncio.run(story())
 
 
+@pytest.mark.parametrize("moving", ["insertion", "way"])
+def test_an_interrupt_in_the_moment_in_which_the_arm_is_ready_moves_nothing(moving):
+    async def story():
+        notes, moves, task = [], [], None
+        run = runner(notes)
+        for port in (run.arm, run.service, run.gripper):
+            port.closing.set()
+
+        async def start(_post):
+            ready = asyncio.Event()
+
+            def together():
+                ready.set()
+                task.cancel()
+
+            asyncio.get_running_loop().call_later(0.02, together)
+            await asyncio.wait_for(ready.wait(), 1.0)
+            return PLAN.approach
+
+        run.arm.start, run.arm.move = start, lambda *way: moves.append(way)
+        corners = [(PLAN.approach, "travel")]
+        steps = {
+            "insertion": run.run,
+            "way": lambda: Errands(lambda: run.arm, None, PLAN.limits, PLAN.ramps, 1.0).go(lambda _here: corners),
+        }
+        task = asyncio.ensure_future(steps[moving]())
+        (ended,) = await asyncio.wait_for(asyncio.gather(task, return_exceptions=True), 2.0)
+        assert isinstance(ended, DriverError) or ended.reason.startswith("operator")
+        assert moves == []
+
+    asyncio.run(story())
+
+
 def test_no_program_is_started_once_a_device_has_failed():
     async def story():
         notes = []
