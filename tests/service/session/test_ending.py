@@ -184,10 +184,11 @@ class OtherVersions:
         self.asked.append(deciding)
         return SimpleNamespace(active="a", decide=lambda _: {})
 
-    def learn(self, _beside: Any, finished: wire.Finished, *, fresh: bool) -> None:
+    def learn(self, _beside: Any, finished: wire.Finished, *, fresh: bool, tried_n: int) -> None:
         if self.fails:
             raise OSError("disk")
         self.learnt.append((finished.insertion_id, fresh))
+        assert tried_n == 0
 
 
 def test_the_version_that_decides_now_begins_an_insertion_and_the_one_before_goes_on_with_its_own(
