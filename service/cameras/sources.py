@@ -1,19 +1,20 @@
-"""Sources of camera frames: MJPEG over HTTP, V4L2, a recording, frames pushed by a client."""
+"""Cameras by their URL: MJPEG over HTTP, V4L2, a recording, frames pushed by a client."""
 
 import http.client
 import queue
 import re
+import select
+import socket
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from service.cameras.capture import CameraError, Capture, Source, now_ns
+from service.cameras.capture import STALL_S, CameraError, Capture, Source, now_ns
+from service.cameras.recorded import RecordingSource
 from service.contract import TactileFrame
 from service.contract.refusals import nearest
 
@@ -24,7 +25,6 @@ _LENGTH = re.compile(rb"(?im)^content-length:\s*(\d+)")
 _STAMP = re.compile(rb"(?im)^x-timestamp:\s*(\d+)\.(\d{1,9})\s*$")
 _SAME_CLOCK_NS = 1_000_000_000
 SCHEMES = ("http:", "v4l2:", "file:", "push:")
-IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
 
 
 class MjpegSource:
@@ -33,6 +33,9 @@ class MjpegSource:
     A part's ``X-Timestamp`` (seconds) is used as its capture time if it lies within the last second of this machine's
     monotonic clock: the camera server then runs here and stamps with the same clock. From then on its stamps are
     trusted at any age, because a delayed picture must not pass for a fresh one.
+
+    Without such stamps a picture counts as taken when it arrives, so none that waited may pass for a fresh one either:
+    of several complete parts only the newest is yielded, and after half a second of silence the stream is reopened.
     """
 
     def __init__(self, url: str) -> None:
@@ -53,54 +56,84 @@ class MjpegSource:
             boundary = response.headers.get_boundary("").strip("-").encode()
             if connection.sock is not None:
                 connection.sock.settimeout(READ_TIMEOUT_S)
-            yield from self._parse(response, b"--" + boundary, stop)
+            yield from self._parse(_Stream(response, connection.sock), b"--" + boundary, stop)
         finally:
             connection.close()
 
-    def _parse(self, response: http.client.HTTPResponse, boundary: bytes, stop: threading.Event) -> Iterator[Capture]:
-        buffer = bytearray()
+    def _parse(self, stream: "_Stream", boundary: bytes, stop: threading.Event) -> Iterator[Capture]:
         stamp_ns, same_clock = now_ns(), False
         while not stop.is_set():
-            header_end = buffer.find(b"\r\n\r\n")
+            header_end = stream.held.find(b"\r\n\r\n")
             if header_end < 0:
-                if len(buffer) > MAX_JPEG_BYTES:
+                if len(stream.held) > MAX_JPEG_BYTES:
                     raise CameraError(f"{MAX_JPEG_BYTES} bytes came without the end of a part's header")
-                if not self._fill(response, buffer):
+                if not stream.fill():
                     return
                 stamp_ns = now_ns()
                 continue
-            header = bytes(buffer[:header_end])
+            header = bytes(stream.held[:header_end])
             arrived_ns = stamp_ns
             stamp_ns = header_stamp_ns(header, arrived_ns, same_clock=same_clock)
             same_clock = same_clock or stamp_ns != arrived_ns
-            del buffer[: header_end + 4]
-            length = _LENGTH.search(header)
-            jpeg = self._body(response, buffer, int(length[1]) if length else None, boundary)
+            del stream.held[: header_end + 4]
+            jpeg = _body(stream, _length(header), boundary)
             if jpeg is None:
                 return
-            yield Capture(stamp_ns, None, jpeg)
+            if same_clock or not stream.holds_another(boundary):
+                stream.silence_matters = not same_clock
+                yield Capture(stamp_ns, None, jpeg)
             stamp_ns = now_ns()
 
-    def _body(
-        self, response: http.client.HTTPResponse, buffer: bytearray, length: int | None, boundary: bytes
-    ) -> bytes | None:
-        """The next part's bytes by its length, or up to the next boundary; None at the end of the stream."""
-        while True:
-            end = length if length is not None else buffer.find(b"\r\n" + boundary)
-            if 0 <= end <= len(buffer):
-                body = bytes(buffer[:end])
-                del buffer[:end]
-                return body
-            if len(buffer) > MAX_JPEG_BYTES or end > MAX_JPEG_BYTES:
-                raise CameraError(f"a part is larger than {MAX_JPEG_BYTES} bytes")
-            if not self._fill(response, buffer):
-                return None
 
-    @staticmethod
-    def _fill(response: http.client.HTTPResponse, buffer: bytearray) -> bool:
-        data = response.read1(1 << 16)
-        buffer += data
+class _Stream:
+    """The bytes of a response: those that have been read and not yet used, and those to come."""
+
+    def __init__(self, response: http.client.HTTPResponse, sock: socket.socket | None) -> None:
+        self.held = bytearray()
+        self.silence_matters = False
+        self._response, self._sock = response, sock
+        self._read_ns = now_ns()
+
+    def fill(self) -> bool:
+        """Read more; False at the end. Raises CameraError after a silence in which pictures may have waited."""
+        data = self._response.read1(1 << 16)
+        self.held += data
+        last_ns, self._read_ns = self._read_ns, now_ns()
+        silent_s = (self._read_ns - last_ns) / 1e9
+        if self.silence_matters and silent_s > STALL_S:
+            raise CameraError(f"nothing was read for {silent_s:.1f} s: without stamps, what waited may be old")
         return bool(data)
+
+    def holds_another(self, boundary: bytes) -> bool:
+        """Whether the next part has arrived as a whole; reads what waits in the socket."""
+        while self._sock is not None and len(self.held) <= MAX_JPEG_BYTES and select.select([self._sock], [], [], 0)[0]:
+            if not self.fill():
+                break
+        header_end = self.held.find(b"\r\n\r\n")
+        if header_end < 0:
+            return False
+        length = _length(bytes(self.held[:header_end]))
+        begin = header_end + 4
+        return self.held.find(b"\r\n" + boundary, begin) >= 0 if length is None else len(self.held) >= begin + length
+
+
+def _length(header: bytes) -> int | None:
+    length = _LENGTH.search(header)
+    return int(length[1]) if length else None
+
+
+def _body(stream: _Stream, length: int | None, boundary: bytes) -> bytes | None:
+    """The next part's bytes by its length, or up to the next boundary; None at the end of the stream."""
+    while True:
+        end = length if length is not None else stream.held.find(b"\r\n" + boundary)
+        if 0 <= end <= len(stream.held):
+            body = bytes(stream.held[:end])
+            del stream.held[:end]
+            return body
+        if len(stream.held) > MAX_JPEG_BYTES or end > MAX_JPEG_BYTES:
+            raise CameraError(f"a part is larger than {MAX_JPEG_BYTES} bytes")
+        if not stream.fill():
+            return None
 
 
 def header_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False) -> int:
@@ -152,46 +185,6 @@ class V4l2Source:
                 yield Capture(stamp_ns, np.asarray(pixels, np.uint8))
         finally:
             capture.release()
-
-
-class RecordingSource:
-    """A video file or a folder of images, played in a loop at its own or a given rate."""
-
-    def __init__(self, path: Path, frame_rate_hz: float | None = None) -> None:
-        self.name = str(path)
-        self._path, self._frame_rate_hz = path, frame_rate_hz
-        if not path.exists():
-            raise CameraError(f"recording {path} does not exist")
-
-    def frames(self, stop: threading.Event) -> Iterator[Capture]:
-        while not stop.is_set():
-            played = 0
-            due = time.monotonic()
-            for pixels, rate_hz in clip_images(self._path):
-                due += 1.0 / (self._frame_rate_hz or rate_hz)
-                if stop.wait(max(0.0, due - time.monotonic())):
-                    return
-                played += 1
-                yield Capture(now_ns(), pixels)
-            if not played:
-                raise CameraError(f"{self._path} holds no image that can be read")
-
-
-def clip_images(path: Path) -> Iterator[tuple[NDArray[np.uint8], float]]:
-    """BGR image and frame rate (Hz) of each frame of a video, or of a folder of images by name (30 Hz)."""
-    if path.is_dir():
-        for file in sorted(child for child in path.iterdir() if child.suffix.lower() in IMAGES):
-            image = cv2.imread(str(file))
-            if image is not None:
-                yield np.asarray(image, np.uint8), 30.0
-        return
-    capture = cv2.VideoCapture(str(path))
-    try:
-        rate_hz = capture.get(cv2.CAP_PROP_FPS) or 30.0
-        while (read := capture.read())[0]:
-            yield np.asarray(read[1], np.uint8), rate_hz
-    finally:
-        capture.release()
 
 
 class PushSource:

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from service.cameras.recorded import picture_in
 from service.contract import FINGERS, ContractError, Finger, Sensor
 from service.contract.sensor import DEFAULT_SENSOR
 from service.perception.rectification import Calibration, CalibrationError, Rectifier
@@ -19,6 +20,7 @@ from service.tools.calibrate import (
     of_sensor,
     rectify,
     refusal,
+    remark,
     serial_of,
     still_image,
 )
@@ -52,19 +54,20 @@ def main(arguments: Sequence[str]) -> int:
 def _measure(options: argparse.Namespace) -> int:
     """Measure how well the markers of one picture fit the model; the row is written even if the profile refuses it."""
     path: Path = options.picture
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.is_file() else None
-    if image is None:
+    picture = picture_in(path) if path.is_file() else None
+    if picture is None:
         raise CalibrationError(f"--picture {path}: expected a picture file")
-    picture = np.asarray(image, np.uint8)
-    sensor = _new_profile(options, picture, path.name) if options.new_profile else _sensor(options.sensor)
+    name = options.sensor if options.new_profile is None else options.new_profile.stem
     try:
+        sensor = _new_profile(options, picture, path.name) if options.new_profile else _sensor(options.sensor)
         grid = find_grid(picture, path.name, sensor)
-    except CalibrationError as error:
+        # a grid of another sensor is measured in the picture's own pixels
+        own = sensor if of_sensor(grid, sensor) else profile_of(picture, grid, "as_seen", options.pitch_mm, options.fps)
+        fit = rectify(picture, grid, own)
+    except (ContractError, CalibrationError) as error:
         nothing = {"residual_px": None, "rows": 0, "columns": 0, "found_share": 0.0, "refused": str(error)}
-        _write(options.json, {"picture": path.name, "sensor": sensor.name, **nothing})
+        _write(options.json, {"picture": path.name, "sensor": name, **nothing})
         raise
-    own = sensor if of_sensor(grid, sensor) else profile_of(picture, grid, "as_seen", options.pitch_mm, options.fps)
-    fit = rectify(picture, grid, own)  # a grid of another sensor is measured in the picture's own pixels
     refused = refusal(fit, sensor)
     _write(options.json, {"picture": path.name, "sensor": sensor.name, **figures(fit, refused)})
     print(_line(path.name, fit) + ("" if refused is None else f"\nno calibration of {sensor.name}: {refused}"))
@@ -90,9 +93,10 @@ def _new_profile(options: argparse.Namespace, image: np.ndarray, name: str) -> S
 
 def _line(name: str, fit: Fit) -> str:
     rows, columns = fit.grid.shape
+    odd = remark(fit)
     return (
         f"{name:<6} {columns} x {rows} markers, {fit.found_share:.1%} of them found,"
-        f" {fit.residual_px:.2f} px RMS off the regular grid"
+        f" {fit.residual_px:.2f} px RMS off the regular grid" + ("" if odd is None else f"\n{name}: {odd}")
     )
 
 

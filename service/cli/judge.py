@@ -4,42 +4,54 @@ import argparse
 import io
 import json
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 
-from service.tools.judge import PHASES, report_of, runs_of
+from service.tools.judge import PHASES, RATE_HZ, report_of, runs_of
+
+_FASTEST_HZ = 1000.0
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Judge every run and write the rows; 1 if a run could not be read; raises RunError if there is none."""
+    """Judge every run and write the rows; 1 if a run could not be read in whole; raises RunError if there is none."""
     options = _parse(arguments)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a run's name may contain letters that a terminal lacks
     cv2.setNumThreads(1)  # times per frame are those of one core
+    folders = list(runs_of(options.folder))
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text("[]\n", encoding="utf-8")
-    rows, evidence, unread_n = [], {}, 0
-    for folder in runs_of(options.folder):
+    rows, evidence, odd_n = [], {}, 0
+    for name, folder in _named(folders, options.folder).items():
         try:
-            run = report_of(folder)
+            run = report_of(folder, max(1, round(options.fps / RATE_HZ)))
         except (ValueError, cv2.error) as error:
-            print(f"{folder.name}: {error}", file=sys.stderr)
-            unread_n += 1
+            print(f"{name}: {error}", file=sys.stderr)
+            odd_n += 1
             continue
-        rows.append(row := run.row)
-        if len(row["fingers"]) < 2:
-            print(f"{folder.name}: one finger's video alone: whether the object slides is not known", file=sys.stderr)
-        evidence[row["run"]] = run.evidence
-        phases = ", ".join(f"{name} {row[f'{name}_frame']}" for name in PHASES[1:])
-        print(f"{row['run']:<32} {row['frames_n']:>4} frames: {phases}; {row['ms_a_frame']:.1f} ms a frame")
+        row = {"run": name, **run.row}
+        rows.append(row)
+        odd_n += row["missing_n"] > 0
+        for remark in run.remarks:
+            print(f"{name}: {remark}", file=sys.stderr)
+        evidence[name] = run.evidence
+        phases = ", ".join(f"{phase} {row[f'{phase}_frame']}" for phase in PHASES[1:])
+        print(f"{name:<32} {row['frames_n']:>4} frames: {phases}; {row['ms_a_frame']:.1f} ms a frame")
         options.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     if options.evidence is not None:
         options.evidence.write_text(json.dumps(evidence) + "\n", encoding="utf-8")
     print(f"wrote {options.out}")
-    return int(unread_n > 0)
+    return int(odd_n > 0)
+
+
+def _named(runs: Sequence[Path], root: Path) -> dict[str, Path]:
+    """The runs by the names of their folders, or by their paths where two folders have one name."""
+    often = Counter(run.resolve().name for run in runs)
+    return {name if often[name := run.resolve().name] == 1 else run.relative_to(root).as_posix(): run for run in runs}
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -50,4 +62,17 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("folder", type=Path, help="folder of runs, or of folders of runs")
     parser.add_argument("--json", type=Path, dest="out", default=Path("runs/judge.json"), help="file for the rows")
     parser.add_argument("--evidence", type=Path, help="file for the slide witness's readings in each frame")
+    parser.add_argument(
+        "--fps",
+        type=_rate,
+        default=RATE_HZ,
+        help=f"frames per second of the videos, whatever their headers say ({RATE_HZ:g}); more are thinned out to that",
+    )
     return parser.parse_args(arguments)
+
+
+def _rate(text: str) -> float:
+    rate = float(text)
+    if not RATE_HZ * 0.75 <= rate <= _FASTEST_HZ:
+        raise argparse.ArgumentTypeError(f"{rate:g} frames a second, expected {RATE_HZ * 0.75:g} to {_FASTEST_HZ:g}")
+    return rate

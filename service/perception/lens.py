@@ -135,6 +135,16 @@ class Projection:
             warp = Warp(warp.low * scale + shift, warp.high * scale + shift, warp.coefficients * scale)
         return Projection(change @ self.homography, self.lens, warp)
 
+    def magnified(self, factor: int) -> "Projection":
+        """The projection of a raw frame of which this one's is a copy, smaller by ``factor``."""
+        shift = (factor - 1) / 2  # pixel centres lie at integers
+        change = np.array([[1 / factor, 0, -shift / factor], [0, 1 / factor, -shift / factor], [0, 0, 1.0]])
+        lens = self.lens
+        if lens is not None:
+            centre_px = (lens.centre_px[0] * factor + shift, lens.centre_px[1] * factor + shift)
+            lens = Lens(centre_px, lens.scale_px * factor, lens.k1, lens.k2)
+        return Projection(self.homography @ change, lens, self.warp)
+
 
 def transformed(matrix: Float64, points: Float64) -> Float64:
     """Points [n, 2] after a homography [3, 3]."""

@@ -12,12 +12,14 @@ from math import ceil
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from service.cameras.capture import CameraError
 from service.cameras.sources import open_source
 from service.contract import Finger, FrameSpec, Sensor
+from service.perception.lens import transformed
 from service.perception.markers.fingerprint import SAME_GEL, fingerprint_of, likeness
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.rectification import CalibrationError, CameraCalibration, Measured, Rectifier
@@ -26,7 +28,9 @@ from service.tools.grid_fit import GridFit, fit_grid
 MIN_SIDE = 0.71  # share of the rows and of the columns
 MIN_PRESENT = 0.7
 MAX_DISPLACED = 0.1  # share of the grid's markers: visible, but not at a resting gel's positions
-MAX_RESIDUAL_PX = 1.0
+MAX_OFF = 0.03  # pitches, RMS; resting gels of three real sensors are below 0.02
+_OTHER_PITCH = 0.15  # markers this much closer or further apart than the profile says are another gel's
+_BENT = 0.1  # pitches, by which rows may be bent beyond the lens without a remark
 WAIT_S = 10.0
 _DARK, _GLARE = 12, 243  # mean grey levels of a frame without light, and of one with too much
 
@@ -125,12 +129,45 @@ def refusal(fit: Fit, sensor: Sensor) -> str | None:
         return (
             f"{fit.grid.displaced_n} of {columns} x {rows} markers lie off the regular grid; something touches the gel"
         )
-    if not fit.residual_px <= MAX_RESIDUAL_PX:
+    if not fit.residual_px <= MAX_OFF * fit.pitch_px:
         return (
-            f"markers lie {fit.residual_px:.2f} px RMS off a regular grid, allowed {MAX_RESIDUAL_PX:g};"
+            f"markers lie {fit.residual_px:.2f} px RMS off a regular grid, allowed {MAX_OFF * fit.pitch_px:.2f};"
             " something touches the gel"
         )
+    nominal_px = _nominal_pitch_px(sensor) * fit.camera.raw.width_px / sensor.raw_width_px
+    if abs(fit.grid.pitch_px / nominal_px - 1) > _OTHER_PITCH:
+        return (
+            f"markers {fit.grid.pitch_px:.1f} px apart, the profile {sensor.name} has them {nominal_px:.1f} px apart in"
+            " a frame of this width: is it another gel or lens (--new-profile, with --pitch-mm)?"
+        )
     return None
+
+
+def _nominal_pitch_px(sensor: Sensor) -> float:
+    """Mean distance of neighbouring markers in the profile's raw frame."""
+    width, height = sensor.width_px - 1, sensor.height_px - 1
+    corners = np.array([(0, 0), (width, 0), (width, height), (0, height)], np.float32)
+    view = cv2.getPerspectiveTransform(corners, np.asarray(sensor.corners_raw_px, np.float32))
+    rest = sensor.marker_rest_px()
+    raw = transformed(np.asarray(view, np.float64), rest.reshape(-1, 2).astype(np.float64)).reshape(rest.shape)
+    steps = [np.linalg.norm(np.diff(raw, axis=axis), axis=-1).mean() for axis in (0, 1)]
+    return float(np.mean(steps))
+
+
+def remark(fit: Fit) -> str | None:
+    """What a person should look at in a fit that is a calibration."""
+    warp = fit.camera.warp
+    if warp is None:
+        return None
+    u, v = np.meshgrid(*np.linspace(warp.low, warp.high, 9).T)
+    places = np.stack([u.ravel(), v.ravel()], 1)
+    bent = float(np.linalg.norm(warp.apply(places) - places, axis=1).max()) / fit.pitch_px
+    if bent <= _BENT:
+        return None
+    return (
+        f"rows are bent by up to {bent:.2f} of the markers' distance, beyond the lens: a gel glued unevenly or seen in"
+        " a mirror is so; if this one is flat, something presses it"
+    )
 
 
 def fit_camera(image: NDArray[np.uint8], finger: Finger, sensor: Sensor, serial: str = "") -> Fit:

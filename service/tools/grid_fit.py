@@ -5,31 +5,31 @@ distance, searched again, and matched to the predicted nodes, round by round wit
 markers. Radial terms are included while they lower Schwarz's criterion (BIC, 1978).
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import Sensor
-from service.perception.lens import Float64, Lens, Projection, Warp, transformed
+from service.perception.lens import Float64, Projection
 from service.perception.markers.detect import Candidates, MarkerDetector
 from service.perception.markers.field import BoolArray
 from service.perception.markers.lattice import Lattice, find_lattice
+from service.tools.lens_fit import settled
 
 Image = NDArray[np.uint8]
 _GATES = (0.3, 0.2, 0.15, 0.12)  # pitch; largest distance of a spot from its node, round by round
 _BEYOND = 3  # steps beyond the known grid in which more markers are sought
 _WEAK, _ROUND = 0.25, 0.45  # of the typical marker's strength and tightness
 _ALIKE = 0.7  # of a marker's strength and tightness
-_FAR = 2.7  # medians; a marker further off its node (3.2 sigma) is displaced, damaged or false
 _MESH_PX = 4
 _SPARE = 1.25
+_LARGEST_PX = 640
 _ROW_SHARE = 0.34  # share of a row or column that must be present
 _ROUGH = (2,)
 _TERMS = (0, 1, 2, 4)  # radial parameters tried: none, k1, k1 k2, k1 k2 and the centre
-_ORDER, _SAMPLES, _PAYS = 6, 3, 0.97  # of the warp: highest order, markers per term, required gain of the next order
 _PITCH_PX = (10.0, 40.0)  # of the frame that is searched
 
 
@@ -61,9 +61,28 @@ class GridFit:
         """Distance of each marker from its node, in grid units [n, 2]."""
         return self.projection.plane(self.raw_px) - self.cells
 
+    def magnified(self, factor: int) -> "GridFit":
+        """The grid of the raw frame of which this one's is a copy, smaller by ``factor``."""
+        return replace(
+            self,
+            raw_px=self.raw_px * factor + (factor - 1) / 2,
+            projection=self.projection.magnified(factor),
+            pitch_px=self.pitch_px * factor,
+            diameter_px=self.diameter_px * factor,
+        )
+
 
 def fit_grid(image: Image, sensor: Sensor | None = None) -> GridFit | None:
-    """The grid of a raw frame uint8 [h, w, 3], or None; at most the rows and columns of ``sensor``, if given."""
+    """The grid of a raw frame uint8 [h, w, 3], or None; at most the rows and columns of ``sensor``, if given.
+
+    A large frame is searched in a smaller copy, since the filters are made for markers of up to 25 px.
+    """
+    factor = -(-max(image.shape[:2]) // _LARGEST_PX)
+    if factor > 1:
+        whole = image[: image.shape[0] // factor * factor, : image.shape[1] // factor * factor]
+        size = (whole.shape[1] // factor, whole.shape[0] // factor)
+        fit = fit_grid(np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), np.uint8), sensor)
+        return None if fit is None else fit.magnified(factor)
     best: GridFit | None = None
     for picture in _pictures(image):
         start = find_lattice(picture)
@@ -89,7 +108,7 @@ def _refined(image: Image, start: Lattice, sensor: Sensor | None) -> GridFit | N
     rows, columns = np.nonzero(start.detected)
     cells, raw = np.stack([columns, rows], 1), start.xy_px[start.detected].astype(np.float64)
     size = (image.shape[1], image.shape[0])
-    model, _, _ = _settled(raw, cells, size, _ROUGH)
+    model, _, _ = settled(raw, cells, size, _ROUGH)
     diameter = start.diameter_px / start.pitch_px  # in pitches
     for last, gate in zip((False, False, False, True), _GATES, strict=True):
         if model is None:
@@ -99,7 +118,7 @@ def _refined(image: Image, start: Lattice, sensor: Sensor | None) -> GridFit | N
         cells, raw = _kept(cells, raw, sensor)
         if len(cells) < 25:
             return None
-        model, cells, raw = _settled(raw, cells, size, _TERMS if last else _ROUGH)
+        model, cells, raw = settled(raw, cells, size, _TERMS if last else _ROUGH)
     if model is None:
         return None
     low, shape = cells.min(0), cells.max(0) - cells.min(0) + 1
@@ -192,109 +211,3 @@ def _window(counts: NDArray[np.intp], most: int) -> tuple[int, int]:
         begin += int(np.argmax(sums))
         end = begin + most
     return begin, end
-
-
-def _settled(
-    raw: Float64, cells: NDArray[np.intp], size: tuple[int, int], terms: tuple[int, ...]
-) -> tuple[Projection | None, NDArray[np.intp], Float64]:
-    """The model, and the markers that fit it."""
-    model = _best_model(raw, cells, size, terms)
-    for _ in range(3):
-        if model is None:
-            break
-        off = np.linalg.norm(model.plane(raw) - cells, axis=1)
-        keep = off < max(_FAR * float(np.median(off)), 0.02)
-        if keep.all() or keep.sum() < 25:
-            break
-        raw, cells = raw[keep], cells[keep]
-        model = _best_model(raw, cells, size, terms)
-    return model, cells, raw
-
-
-def _best_model(
-    raw: Float64, cells: NDArray[np.intp], size: tuple[int, int], terms: tuple[int, ...]
-) -> Projection | None:
-    """The lens with the least BIC, and the warp with the best prediction."""
-    best, least = None, np.inf
-    for count in terms:
-        model = fit_model(raw, cells, size, count)
-        if model is None:
-            continue
-        squares = float(np.square(model.plane(raw) - cells).sum())
-        n = 2 * len(raw)
-        score = n * np.log(squares / n + 1e-12) + (8 + count) * np.log(n)
-        if score < least:
-            best, least = model, score
-    return best if best is None else Projection(best.homography, best.lens, _warp(best.plane(raw), cells))
-
-
-def _warp(flat: Float64, cells: NDArray[np.intp]) -> Warp | None:
-    """The warp of grid points ``flat`` [n, 2] to ``cells`` with the best prediction of left-out markers, or None.
-
-    Each marker is left out in turn (for least squares in closed form, by the leverages); it must gain a few per cent.
-    """
-    off = cells - flat
-    low, high = cells.min(0).astype(np.float64), cells.max(0).astype(np.float64)
-    best, least = None, _PAYS * float(np.square(off).sum())
-    for order in range(2, _ORDER + 1):
-        terms = Warp(low, high, np.zeros((2, 3))).terms(flat, order)
-        if _SAMPLES * terms.shape[1] > len(flat):
-            break
-        q, r = np.linalg.qr(terms)
-        coefficients = np.linalg.solve(r, q.T @ off)
-        left_out = (off - terms @ coefficients) / (1 - np.square(q).sum(1))[:, None]
-        warp = Warp(low, high, coefficients.T)
-        if (squares := float(np.square(left_out).sum())) < least and warp.one_to_one():
-            best, least = warp, _PAYS * squares
-    return best
-
-
-def fit_model(raw: Float64, cells: NDArray[np.intp], size: tuple[int, int], terms: int) -> Projection | None:
-    """Least squares over homography and the first ``terms`` of k1, k2, centre u, v; None if it fails or folds.
-
-    For a given lens the homography follows, so Gauss-Newton runs over the radial terms alone (variable projection).
-    """
-    width, height = size
-    scale = float(np.hypot(width, height)) / 2
-
-    def lens_of(p: Float64) -> Lens:
-        full = np.concatenate([p, np.zeros(4 - len(p))])
-        centre = ((width - 1) / 2 + float(full[2]) * scale, (height - 1) / 2 + float(full[3]) * scale)
-        return Lens(centre, scale, float(full[0]), float(full[1]))
-
-    def off_of(p: Float64) -> tuple[Float64, Float64] | None:
-        ideal = lens_of(p).ideal(raw) if len(p) else raw
-        matrix, _ = cv2.findHomography(ideal, cells.astype(np.float64))
-        if matrix is None or not np.isfinite(matrix).all():
-            return None
-        return (transformed(np.asarray(matrix), ideal) - cells).ravel(), np.asarray(matrix, np.float64)
-
-    p = _least_squares(lambda q: None if (residual := off_of(q)) is None else residual[0], terms)
-    best = None if p is None else off_of(p)
-    if p is None or best is None or (terms and not lens_of(p).one_to_one(width, height)):
-        return None
-    return Projection(best[1], lens_of(p) if terms else None)
-
-
-def _least_squares(off: Callable[[Float64], Float64 | None], terms: int) -> Float64 | None:
-    """The parameters [terms] that minimise the squares of ``off``, by Levenberg and Marquardt from zero."""
-    p, damping = np.zeros(terms), 1e-3
-    now = off(p)
-    for _ in range(12 if terms else 0):
-        if now is None:
-            return None
-        moved = [off(p + step) for step in 1e-4 * np.eye(terms)]
-        if any(one is None for one in moved):
-            return None
-        slope = np.stack([(np.asarray(one) - now) / 1e-4 for one in moved], 1)
-        normal = slope.T @ slope
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal) + 1e-9), -slope.T @ now)
-        tried = off(p + step)
-        if tried is None or tried @ tried >= now @ now:
-            damping *= 30
-            continue
-        small = tried @ tried > (1 - 1e-4) * (now @ now)
-        p, now, damping = p + step, tried, damping / 5
-        if small:
-            break
-    return p

@@ -1,7 +1,8 @@
 """Judges recorded grasps run by run, with the live detector: tracker, grasp watch, open gel, phases.
 
-A run is a folder with one video per finger. A recording does not state the open gel before the grasp, so it is sought
-in the run's own frames (`rest`). That choice uses the whole run; everything after it uses only earlier frames.
+A run is a folder with one video per finger; a video in which hardly any frame shows the gel's markers is none of them.
+A recording does not state the open gel before the grasp, so it is sought in the run's own frames (`rest`). That choice
+uses the whole run; everything after it uses only earlier frames.
 """
 
 import time
@@ -10,10 +11,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.cameras.sources import clip_images
+from service.cameras.recorded import clip_images, stated_frames_n
 from service.perception.markers.field import MarkerField
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.slip.grasp import GraspWatch
@@ -24,11 +26,17 @@ from service.perception.slip.rigid import Float64
 from service.perception.slip.slide import SlideWitness, slide_score
 from service.tools.open_frame import Rest, rest
 
-FRAME_NS = 125_000_000  # headers are wrong about the rate; these sensors deliver about eight frames per second
+RATE_HZ = 8.0  # of the recordings the thresholds were set with; headers are wrong about the rate
 VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm"}
 PHASES: tuple[Phase, ...] = ("open", "contact", "hold", "slip", "lost", "released")
 _LEAST_PX = 64
+_LARGE_PX, _REDUCED_PX = 480, 240  # a picture this high or wide is reduced; the filters are made for small ones
+_UNSEEN = 0.5  # share of the frames in which a finger's markers may be invisible
 _BUFFERED_N = 16  # first frames, in which a camera may still deliver pictures of an earlier grasp
+
+
+_FINGERS_N = 2
+Image = NDArray[np.uint8]
 
 
 class RunError(ValueError):
@@ -51,7 +59,15 @@ class FingerRun:
     scores: list[float] = field(default_factory=list)
     slips: list[bool] = field(default_factory=list)
     changes: list[ImprintChange | None] = field(default_factory=list)
+    frames_n: int = 0
+    missing_n: int = 0
     spent_s: float = 0.0
+
+    @property
+    def shows_gel(self) -> bool:
+        """Whether the markers are seen in enough of the frames."""
+        unseen_n = sum(markers.status in {"lost", "no_grid"} for markers in self.fields)
+        return unseen_n <= _UNSEEN * len(self.fields)
 
     def felt(self, still: Rest | None) -> list[Felt]:
         """What the gel feels in each frame, compared with the frame at rest.
@@ -73,16 +89,21 @@ class FingerRun:
         return felt
 
 
-def watched(clip: Path) -> FingerRun:
-    """One finger's recording through tracker, grasp watch and imprint. RunError: no frames, small ones, or its name."""
-    if any("\ud800" <= letter <= "\udfff" for letter in str(clip)):
-        raise RunError(f"the name {str(clip)!a} is no UTF-8, and OpenCV would crash on it: rename it")
+def watched(clip: Path, step: int = 1) -> FingerRun:
+    """Every ``step``-th frame of one finger's recording through tracker, grasp watch and imprint.
+
+    Raises RunError if it has no frames, or small ones; CameraError for its name.
+    """
     run, tracker, watch, imprint = FingerRun(), MarkerTracker(), GraspWatch(), ImprintWatch()
-    for k, (image, _) in enumerate(clip_images(clip)):
-        if min(image.shape[:2]) < _LEAST_PX:
-            raise RunError(f"{clip} is {image.shape[1]} x {image.shape[0]}, expected {_LEAST_PX} px a side or more")
+    for whole, _ in clip_images(clip):
+        run.frames_n += 1
+        if (run.frames_n - 1) % step:
+            continue
+        if min(whole.shape[:2]) < _LEAST_PX:
+            raise RunError(f"{clip} is {whole.shape[1]} x {whole.shape[0]}, expected {_LEAST_PX} px a side or more")
         begun = time.process_time()
-        markers = tracker.update(image, k * FRAME_NS)
+        image = _reduced(whole)
+        markers = tracker.update(image, round(len(run.fields) * 1e9 / RATE_HZ))
         state = watch.update(markers)
         change = imprint.update(image, markers)
         picture = shrunk(image)
@@ -94,42 +115,65 @@ def watched(clip: Path) -> FingerRun:
         run.changes.append(change)
     if not run.fields:
         raise RunError(f"{clip} holds no frame that can be decoded")
+    run.missing_n = max(0, stated_frames_n(clip) - run.frames_n)
     return run
+
+
+def _reduced(image: Image) -> Image:
+    """A large picture at about 240 px, as a session's rectified ones are; others as they are."""
+    shrink = min(image.shape[:2]) // _REDUCED_PX
+    if min(image.shape[:2]) < _LARGE_PX:
+        return image
+    size = (image.shape[1] // shrink, image.shape[0] // shrink)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
 class RunReport:
-    """The row of one run, and the slide witness's readings in each frame, None before the first."""
+    """The row of one run, the slide witness's readings in each frame, None before the first, and what was odd."""
 
     row: dict[str, Any]
     evidence: list[list[float] | None]
+    remarks: list[str]
 
 
-def report_of(folder: Path) -> RunReport:
-    """One run, up to the end of its shortest video; raises RunError if one of its videos cannot be used."""
-    clips = clips_of(folder)
-    fingers = [watched(clip) for clip in clips]
+def report_of(folder: Path, step: int = 1) -> RunReport:
+    """One run up to the end of its shortest video; RunError if a video cannot be used.
+
+    Every ``step``-th frame is judged; the row counts them as in the recording, and the evidence has only these.
+    """
+    every = {clip.stem: watched(clip, step) for clip in clips_of(folder)}
+    missing_n = sum(finger.missing_n for finger in every.values())
+    remarks = [f"{missing_n} frames of its videos cannot be decoded: damaged or cut off"] if missing_n else []
+    shown = {name: finger for name, finger in every.items() if finger.shows_gel}
+    if len(shown) > _FINGERS_N:
+        raise RunError(f"{len(shown)} videos show a gel, expected one of each finger: {', '.join(shown)}")
+    remarks += [f"{name} shows no marker grid, and is left out" for name in every.keys() - shown.keys()]
+    clips = shown or every
+    fingers = list(clips.values())
+    if len(clips) < _FINGERS_N:
+        remarks.append("one finger's video alone: whether the object slides is not known")
     frames_n = min(len(finger.fields) for finger in fingers)
     still = rest([finger.pictures for finger in fingers], [finger.fields for finger in fingers])
     evidence = _evidence(fingers, frames_n)
     slides = [terms is not None and bool(slide_score(terms) >= 0) for terms in evidence]
     statuses = [markers.status for finger in fingers for markers in finger.fields]
     felt = [finger.felt(still) for finger in fingers]
-    whole, *alone = _stories(fingers, felt, slides)
+    whole, *alone = _stories(fingers, felt, slides, step)
     row = {
-        "run": folder.name,
-        "frames_n": frames_n,
+        "frames_n": min(finger.frames_n for finger in fingers),
         **whole,
         "fingers": {
-            clip.stem: {"frames_n": len(finger.fields), **story}
-            for clip, finger, story in zip(clips, fingers, alone, strict=True)
+            name: {"frames_n": finger.frames_n, **story}
+            for (name, finger), story in zip(clips.items(), alone, strict=True)
         },
-        "open_frame": still.frame if still is not None and still.is_open else None,
+        "open_frame": still.frame * step if still is not None and still.is_open else None,
         "ambiguous_n": statuses.count("ambiguous"),
         "refused_n": sum(status in {"lost", "no_grid", "duplicate"} for status in statuses),
+        "missing_n": missing_n,
         "ms_a_frame": 1e3 * sum(finger.spent_s for finger in fingers) / len(statuses),
     }
-    return RunReport(row, [None if terms is None else terms.tolist() for terms in evidence])
+    return RunReport(row, [None if terms is None else terms.tolist() for terms in evidence], remarks)
 
 
 def _evidence(fingers: Sequence[FingerRun], frames_n: int) -> list[NDArray[np.float64] | None]:
@@ -143,7 +187,7 @@ def _evidence(fingers: Sequence[FingerRun], frames_n: int) -> list[NDArray[np.fl
 
 
 def _stories(
-    fingers: Sequence[FingerRun], felt: Sequence[Sequence[Felt]], slides: Sequence[bool]
+    fingers: Sequence[FingerRun], felt: Sequence[Sequence[Felt]], slides: Sequence[bool], step: int
 ) -> list[dict[str, Any]]:
     """For the grasp and each finger: the first frame of each phase, null if it never came, and the largest scores.
 
@@ -159,14 +203,14 @@ def _stories(
         for one, history, frames in zip(followed, phases, borne, strict=True):
             history.append(one.phase)
             if one.borne:
-                frames.append(k)
+                frames.append(k * step)
     return [
-        {**_firsts(history), "borne_frames": frames, "largest_score": _largest(history, whose)}
+        {**_firsts(history, step), "borne_frames": frames, "largest_score": _largest(history, whose)}
         for history, frames, whose in zip(phases, borne, [fingers, *([finger] for finger in fingers)], strict=True)
     ]
 
 
-def _firsts(phases: list[Phase]) -> dict[str, int | None]:
+def _firsts(phases: list[Phase], step: int) -> dict[str, int | None]:
     """First frame of each phase of the first held grasp, or else of the first touch.
 
     A grasp that ends within the first frames counts only if none follows.
@@ -180,7 +224,7 @@ def _firsts(phases: list[Phase]) -> dict[str, int | None]:
     first: dict[str, int | None] = {f"{phase}_frame": None for phase in PHASES[1:]}
     for chosen in order[:1]:
         first |= {
-            f"{phase}_frame": begins[chosen] + grasps[chosen].index(phase)
+            f"{phase}_frame": (begins[chosen] + grasps[chosen].index(phase)) * step
             for phase in PHASES[1:]
             if phase in grasps[chosen]
         }
@@ -209,5 +253,9 @@ def runs_of(folder: Path) -> Iterator[Path]:
 
 
 def clips_of(folder: Path) -> list[Path]:
-    """The videos that lie in a folder, by name."""
-    return sorted(clip for clip in folder.glob("*") if clip.suffix.lower() in VIDEOS and clip.is_file())
+    """The videos that lie in a folder, by name; hidden files are none."""
+    return sorted(
+        clip
+        for clip in folder.glob("*")
+        if clip.suffix.lower() in VIDEOS and clip.is_file() and not clip.name.startswith(".")
+    )

@@ -20,6 +20,7 @@ _HELD_N = 4  # consecutive touched frames
 EMPTY_N = 2  # consecutive empty frames: ended
 _DROP = 0.6  # empty: touch below 1 and below this share of its recent value; a light touch may fluctuate
 _REMEMBERED_N = 30
+_BLIND_N = 8  # consecutive frames; a finger that is not visible for as long has no say in whether the others are empty
 
 Loads = Sequence[Float64 | None]
 
@@ -32,6 +33,7 @@ class GraspPhases:
         self._touched_n = 0
         self._empty_n = 0
         self._held: list[deque[float]] = []
+        self._unseen_n: list[int] = []
         self._support = Support()
 
     @property
@@ -46,7 +48,10 @@ class GraspPhases:
         """
         if len(self._held) != len(touches):
             self._held = [deque(maxlen=_REMEMBERED_N) for _ in touches]
-        if all(self._empty(touch, held) for touch, held in zip(touches, self._held, strict=True)):
+            self._unseen_n = [0] * len(touches)
+        self._unseen_n = [0 if touch is not None else n + 1 for touch, n in zip(touches, self._unseen_n, strict=True)]
+        asked = [k for k, n in enumerate(self._unseen_n) if n < _BLIND_N] or range(len(touches))
+        if all(self._empty(touches[k], self._held[k]) for k in asked):
             self._emptied()
             return self.phase
         if self.phase in {"hold", "slip"}:

@@ -67,9 +67,10 @@ _BEYOND = """
 ## What it cannot bound
 
 **Frames that are older than their timestamps.** The content of such a frame does not reveal its age. A camera
-server should therefore stamp its frames at capture. One that does not is only as good as its latency, and
-nothing measures that latency yet. In this test the delay begins during the descent, and the resulting gap ends
-the lease. A delay that is present from the start adds 1 mm per 100 ms to every stop.
+server should therefore stamp its frames at capture (`X-Timestamp` in the header of each part, in seconds of the
+cell PC's monotonic clock). One that does not is only as good as its latency, which commissioning measures; a
+service that was stopped drops what waited meanwhile. In this test the delay begins during the descent, and the
+resulting gap ends the lease. A delay that is present from the start adds 1 mm per 100 ms to every stop.
 
 **A frozen picture with fresh noise.** The service recognises it by the noise of the frozen picture, which
 returns in every copy ([decision 132](decisions/0132-noise-comes-once.md)). The first copy passes as new, so the

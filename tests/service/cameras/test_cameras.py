@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from service.cameras.capture import RETRY_S, Camera, CameraError, CameraFrame, Capture, now_ns
-from service.cameras.sources import MjpegSource, PushSource, RecordingSource, V4l2Source, header_stamp_ns, open_source
+from service.cameras.recorded import RecordingSource
+from service.cameras.sources import MjpegSource, PushSource, V4l2Source, _Stream, open_source
 from service.contract import TactileFrame
 from tests.service.mjpeg import FakeFinger
 
@@ -90,7 +91,7 @@ class Endless:
 def test_a_stream_without_the_end_of_a_header_is_a_fault_and_no_memory_leak() -> None:
     source = MjpegSource("http://127.0.0.1:9/")
     with pytest.raises(CameraError, match="without the end of a part's header"):
-        next(source._parse(Endless(), b"--frame", threading.Event()))
+        next(source._parse(_Stream(Endless(), None), b"--frame", threading.Event()))
 
 
 def test_a_changed_size_is_a_fault() -> None:
@@ -246,33 +247,6 @@ def test_the_newest_pushed_frames_are_kept_and_one_client_pushes() -> None:
     assert (source.claim(), source.claim()) == (True, False)
     source.release()
     assert source.claim()
-
-
-def test_a_stamp_of_this_machines_clock_is_believed_and_no_other() -> None:
-    now = 5_000_000_000_000
-    assert header_stamp_ns(b"X-Timestamp: 4999.980000000\r\n", now) == 4_999_980_000_000
-    assert header_stamp_ns(b"X-Timestamp: 1700000000.5\r\n", now) == now
-    assert header_stamp_ns(b"X-Timestamp: 4000.5\r\n", now) == now
-    assert header_stamp_ns(b"Content-Length: 3\r\n", now) == now
-
-
-class Parts:
-    """An answer of parts, each with its stamp in s."""
-
-    def __init__(self, *stamps_s: float) -> None:
-        self.parts = [b"--f\r\nX-Timestamp: %.9f\r\nContent-Length: 1\r\n\r\nx\r\n" % stamp_s for stamp_s in stamps_s]
-
-    def read1(self, _size: int) -> bytes:
-        return self.parts.pop(0) if self.parts else b""
-
-
-def test_a_picture_that_was_held_up_for_seconds_does_not_pass_for_a_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.cameras.sources.now_ns", lambda: 5_000_000_000_000)
-    source = MjpegSource("http://127.0.0.1:9/")
-    captures = source._parse(Parts(4999.98, 4997.5, 4999.99), b"--f", threading.Event())
-    assert [capture.captured_ns / 1e9 for capture in captures] == pytest.approx([4999.98, 4997.5, 4999.99])
-    captures = source._parse(Parts(4000.5, 4000.6), b"--f", threading.Event())
-    assert [capture.captured_ns / 1e9 for capture in captures] == [5000.0, 5000.0], "another machine's clock"
 
 
 def test_a_recording_plays_and_an_absent_one_says_so(tmp_path: Path) -> None:

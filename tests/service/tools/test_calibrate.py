@@ -17,7 +17,7 @@ from simulation.scene.worlds import load_scene
 from tests.service.perception.real import GELSLIM_CROP, read_video, real_data
 
 REST = np.zeros((20, 21, 3), np.float32)
-UNEVEN = np.float32(0.04) * np.random.default_rng(3).normal(size=(20, 21, 3)).astype(np.float32) * [1, 1, 0]
+UNEVEN = np.float32(0.02) * np.random.default_rng(3).normal(size=(20, 21, 3)).astype(np.float32) * [1, 1, 0]
 INSIDE_PX = np.array([[[60, 40], [360, 40], [213, 160], [150, 280], [280, 280]]], float)
 
 
@@ -101,6 +101,27 @@ def test_a_picture_without_markers_is_named_as_such(tmp_path, capsys):
     assert json.loads(row.read_text())["found_share"] == 0
 
 
+def test_markers_at_another_distance_are_another_gel(tmp_path):
+    """As many markers as the profile allows, but further apart: its millimetres would be wrong."""
+    picture, row = tmp_path / "a.png", tmp_path / "a.json"
+    scene = load_scene("circle", camera__sensor="gelsight_mini")
+    whole = Renderer(Appearance.draw(scene, "left", 3)).raw(np.zeros((7, 9, 3), np.float32), 0)
+    height, width = whole.shape[:2]
+    nearer = cv2.resize(whole[height // 10 : -height // 10, width // 10 : -width // 10], (width, height))
+    cv2.imwrite(str(picture), nearer)
+    assert main(["calibrate", "--picture", str(picture), "--sensor", "gelsight_mini", "--json", str(row)]) == 0
+    assert "is it another gel or lens" in json.loads(row.read_text())["refused"]
+
+
+def test_a_picture_that_no_profile_describes_still_gets_a_row(tmp_path, capsys):
+    picture, row = tmp_path / "grün\udcff.png", tmp_path / "a.json"
+    picture.write_bytes(cv2.imencode(".png", np.full((240, 320, 3), 120, np.uint8))[1].tobytes())
+    arguments = ["calibrate", "--picture", str(picture), "--json", str(row)]
+    assert main([*arguments, "--new-profile", str(tmp_path / "mine.toml")]) == 2
+    assert "no marker grid" in capsys.readouterr().err
+    assert (json.loads(row.read_text())["sensor"], (tmp_path / "mine.toml").exists()) == ("mine", False)
+
+
 def test_a_new_profile_has_the_counts_that_are_seen(tmp_path):
     picture, profile = tmp_path / "a.png", tmp_path / "mine.toml"
     scene = load_scene("circle", camera__sensor="gelsight_mini")
@@ -131,7 +152,8 @@ def test_real_resting_gels_lie_within_half_a_pixel_of_a_regular_grid(name, tmp_p
     figures = json.loads(row.read_text())
     assert figures["residual_px"] <= 0.5
     assert figures["found_share"] > 0.9
-    assert (figures["refused"] is None) == (name != "gelslim3"), "a sensor of other counts is measured, not accepted"
+    other = {"raw": None, "gelslim3": "16 x 11 markers found", "mini": "44.6 px apart, the profile"}[name]
+    assert figures["refused"] is other or other in figures["refused"], "other gels are measured, not accepted"
 
 
 def test_an_absent_camera_is_one_line_and_exit_2(tmp_path, capsys):

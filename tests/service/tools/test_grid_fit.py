@@ -69,6 +69,20 @@ def test_the_grid_is_found_where_it_truly_is(seed, k1, hidden):
     assert np.sqrt(np.square(grid.off).sum(1).mean()) * grid.pitch_px < 0.5
 
 
+@pytest.mark.parametrize("factor", [3, 5])
+def test_the_grid_of_a_large_frame_is_where_that_of_a_small_one_is(factor):
+    rng = np.random.default_rng(4)
+    true = projection(rng, -0.1)
+    small = drawn(rng, true, (0, 0))
+    grid = fit_grid(cv2.resize(small, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC))
+    assert grid is not None
+    assert grid.shape == (ROWS, COLUMNS)
+    shift = (factor - 1) / 2  # pixel centres
+    assert np.sqrt(np.square((grid.raw_px - shift) / factor - true.raw(grid.cells)).sum(1).mean()) < 0.35
+    assert np.abs(grid.projection.plane(grid.raw_px) - grid.cells).max() < 0.1
+    assert np.allclose(grid.projection.raw(grid.projection.plane(grid.raw_px)), grid.raw_px, atol=0.01)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_gel_without_markers_shows_no_grid(seed):
     rng = np.random.default_rng(seed)

@@ -7,19 +7,21 @@ import numpy as np
 import pytest
 
 from service.__main__ import main
+from service.cameras.recorded import clip_images
 from tests.service.perception.real import real_data
 from tests.service.perception.synthetic import draw, grid
 
 KEYS = {
     "run", "frames_n", "contact_frame", "hold_frame", "slip_frame", "lost_frame", "released_frame",
-    "borne_frames", "fingers", "largest_score", "open_frame", "ambiguous_n", "refused_n", "ms_a_frame",
+    "borne_frames", "fingers", "largest_score", "open_frame", "ambiguous_n", "refused_n", "missing_n", "ms_a_frame",
 }  # fmt: skip
 
 
-def record(folder, touched, frames=48, put_down=0):
+def record(folder, touched, frames=48, put_down=0, repeats=1, enlarged=1):
     """Two fingers' clips: an object touches both from frame ``touched[0]`` to ``touched[1]``.
 
-    It pulls the markers down; in its last ``put_down`` frames it pushes them up.
+    It pulls the markers down; in its last ``put_down`` frames it pushes them up. Each frame comes ``repeats`` times,
+    under fresh noise, and ``enlarged`` times as large.
     """
     folder.mkdir(parents=True)
     rng = np.random.default_rng(1)
@@ -27,14 +29,25 @@ def record(folder, touched, frames=48, put_down=0):
     away = (rest - rest.mean((0, 1))) / 50.0
     bulged = rest + 3.0 * away * np.exp(0.5 - 0.5 * np.square(away).sum(-1, keepdims=True))
     for name in ("camera_0", "camera_2"):
-        first = draw(rest, rng)
-        out = cv2.VideoWriter(
-            str(folder / f"{name}.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25, (first.shape[1], first.shape[0])
-        )
-        for k in range(frames):
+        height, width = (enlarged * side for side in draw(rest, rng).shape[:2])
+        out = cv2.VideoWriter(str(folder / f"{name}.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25, (width, height))
+        for k in np.repeat(np.arange(frames), repeats):
             pull = np.array([0.0, 1.0 if k < touched[1] - put_down else -1.0])
-            out.write(draw(bulged + pull if touched[0] <= k < touched[1] else rest, rng))
+            out.write(cv2.resize(draw(bulged + pull if touched[0] <= k < touched[1] else rest, rng), (width, height)))
         out.release()
+
+
+def write_black(clip, frames, size=(320, 240)):
+    out = cv2.VideoWriter(str(clip), cv2.VideoWriter_fourcc(*"MJPG"), 25, size)
+    for _ in range(frames):
+        out.write(np.zeros((size[1], size[0], 3), np.uint8))
+    out.release()
+
+
+def rows_of(runs, out, *options):
+    """The rows of the runs by name, and what the command returned."""
+    returned = main(["judge", str(runs), "--json", str(out), *options])
+    return {row["run"]: row for row in json.loads(out.read_text())}, returned
 
 
 def test_the_phases_of_a_recorded_grasp_are_found(tmp_path):
@@ -67,11 +80,7 @@ def test_pictures_without_markers_show_no_grasp_and_a_run_that_cannot_be_read_is
     for run in ("black", "unreadable"):
         (tmp_path / run).mkdir()
         for name in ("camera_0", "camera_2"):
-            clip = tmp_path / run / f"{name}.avi"
-            out = cv2.VideoWriter(str(clip), cv2.VideoWriter_fourcc(*"MJPG"), 25, (320, 240))
-            for _ in range(6):
-                out.write(np.zeros((240, 320, 3), np.uint8))
-            out.release()
+            write_black(clip := tmp_path / run / f"{name}.avi", 6)
     clip.write_bytes(b"no video")
     rows = tmp_path / "rows.json"
     assert main(["judge", str(tmp_path), "--json", str(rows)]) == 1
@@ -94,6 +103,73 @@ def test_odd_runs_are_named_in_one_line_each_and_the_others_judged(tmp_path, cap
     }  # fmt: skip
     assert rows["una_caña_1_hold"]["lost_frame"] is not None
     assert [line.split(":")[0] for line in capsys.readouterr().err.splitlines()] == ["no one", "un\\udcffnamed"]
+
+
+def test_a_video_without_a_gel_hides_no_loss(tmp_path, capsys):
+    """A black camera, or one that overlooks the scene, is not a finger that sees nothing and so forbids every loss."""
+    runs = tmp_path / "runs"
+    record(runs / "overlooked", (18, 38))
+    record(runs / "half blind", (18, 38))
+    (runs / "half blind" / "camera_2.avi").unlink()
+    for clip in ("overlooked/scene.avi", "half blind/camera_2.avi"):
+        write_black(runs / clip, 48)
+    (runs / "overlooked" / "._camera_0.avi").write_bytes(b"a file of another system")
+    rows, returned = rows_of(runs, tmp_path / "rows.json")
+    assert returned == 0
+    assert all(38 <= row["lost_frame"] <= 40 for row in rows.values())
+    assert sorted(capsys.readouterr().err.splitlines()) == [
+        "half blind: camera_2 shows no marker grid, and is left out",
+        "half blind: one finger's video alone: whether the object slides is not known",
+        "overlooked: scene shows no marker grid, and is left out",
+    ]
+
+
+def test_a_finger_that_goes_blind_in_a_run_hides_no_loss(tmp_path):
+    record(tmp_path / "box", (18, 44), frames=56)
+    clip = tmp_path / "box" / "camera_2.avi"
+    frames = [image for image, _ in clip_images(clip)]
+    out = cv2.VideoWriter(str(clip), cv2.VideoWriter_fourcc(*"MJPG"), 25, frames[0].shape[1::-1])
+    for k, image in enumerate(frames):
+        out.write(image if k < 30 else np.zeros_like(image))
+    out.release()
+    rows, _ = rows_of(tmp_path, tmp_path / "rows.json")
+    assert 44 <= rows["box"]["lost_frame"] <= 46
+
+
+def test_a_damaged_video_is_named(tmp_path, capsys):
+    record(tmp_path / "runs" / "cut", (18, 38))
+    clip = tmp_path / "runs" / "cut" / "camera_0.avi"
+    clip.write_bytes(clip.read_bytes()[: round(0.6 * clip.stat().st_size)])
+    rows, returned = rows_of(tmp_path / "runs", tmp_path / "rows.json")
+    assert returned == 1
+    assert 12 < rows["cut"]["missing_n"] < 30
+    assert "frames of its videos cannot be decoded" in capsys.readouterr().err
+
+
+def test_large_pictures_and_fast_videos_are_judged_as_small_slow_ones(tmp_path):
+    record(tmp_path / "large" / "box", (18, 38), enlarged=3)
+    rows, _ = rows_of(tmp_path / "large", tmp_path / "rows.json")
+    assert (rows["box"]["contact_frame"], rows["box"]["frames_n"]) == (18, 48)
+    record(tmp_path / "fast" / "box", (18, 38), repeats=4)
+    rows, _ = rows_of(tmp_path / "fast", tmp_path / "rows.json", "--fps", "30")
+    assert (rows["box"]["contact_frame"], rows["box"]["frames_n"]) == (72, 192)
+    assert 4 * 38 <= rows["box"]["lost_frame"] <= 4 * 40
+
+
+def test_runs_of_one_name_are_told_apart_and_a_wrong_folder_destroys_no_rows(tmp_path):
+    for day in ("monday", "tuesday"):
+        record(tmp_path / "runs" / day / "box", (5, 8), 8)
+    rows, _ = rows_of(tmp_path / "runs", tmp_path / "rows.json")
+    assert set(rows) == {"monday/box", "tuesday/box"}
+    kept, returned = rows_of(tmp_path / "no such", tmp_path / "rows.json")
+    assert (kept, returned) == (rows, 2)
+
+
+@pytest.mark.parametrize("rate", ["2", "nan", "fast"])
+def test_a_rate_that_cannot_be_is_refused(tmp_path, capsys, rate):
+    with pytest.raises(SystemExit):
+        main(["judge", str(tmp_path), "--fps", rate])
+    assert "--fps" in capsys.readouterr().err
 
 
 @pytest.mark.real_data

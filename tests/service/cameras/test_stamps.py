@@ -1,0 +1,90 @@
+"""When a picture was taken: a part's own stamp, or its arrival, but never that of a picture that had waited."""
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from service.cameras.capture import CameraError
+from service.cameras.sources import MjpegSource, _Stream, header_stamp_ns
+
+
+def test_a_stamp_of_this_machines_clock_is_believed_and_no_other() -> None:
+    now = 5_000_000_000_000
+    assert header_stamp_ns(b"X-Timestamp: 4999.980000000\r\n", now) == 4_999_980_000_000
+    assert header_stamp_ns(b"X-Timestamp: 1700000000.5\r\n", now) == now
+    assert header_stamp_ns(b"X-Timestamp: 4000.5\r\n", now) == now
+    assert header_stamp_ns(b"Content-Length: 3\r\n", now) == now
+
+
+class Parts:
+    """An answer of parts, each with its stamp in s."""
+
+    def __init__(self, *stamps_s: float) -> None:
+        self.parts = [b"--f\r\nX-Timestamp: %.9f\r\nContent-Length: 1\r\n\r\nx\r\n" % stamp_s for stamp_s in stamps_s]
+
+    def read1(self, _size: int) -> bytes:
+        return self.parts.pop(0) if self.parts else b""
+
+
+def test_a_picture_that_was_held_up_for_seconds_does_not_pass_for_a_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("service.cameras.sources.now_ns", lambda: 5_000_000_000_000)
+    source = MjpegSource("http://127.0.0.1:9/")
+    captures = source._parse(_Stream(Parts(4999.98, 4997.5, 4999.99), None), b"--f", threading.Event())
+    assert [capture.captured_ns / 1e9 for capture in captures] == pytest.approx([4999.98, 4997.5, 4999.99])
+    captures = source._parse(_Stream(Parts(4000.5, 4000.6), None), b"--f", threading.Event())
+    assert [capture.captured_ns / 1e9 for capture in captures] == [5000.0, 5000.0], "another machine's clock"
+
+
+@contextmanager
+def unstamped_camera() -> Iterator[tuple[str, Callable[[int], None]]]:
+    """A camera on a real socket that gives no stamps: its URL, and a call that sends one part."""
+    listening = socket.create_server(("127.0.0.1", 0))
+    connections: list[socket.socket] = []
+
+    def accept() -> None:
+        connection, _ = listening.accept()
+        connection.recv(4096)
+        connection.sendall(b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=f\r\n\r\n--f\r\n")
+        connections.append(connection)
+
+    def send(k: int) -> None:
+        while not connections:
+            time.sleep(0.01)
+        connections[0].sendall(b"Content-Type: image/jpeg\r\n\r\n%d\r\n--f\r\n" % k)
+
+    thread = threading.Thread(target=accept, daemon=True)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{listening.getsockname()[1]}/", send
+    finally:
+        thread.join(1)
+        for one in (listening, *connections):
+            one.close()
+
+
+def test_pictures_without_stamps_that_waited_are_dropped() -> None:
+    """Read at once, all are yielded; of those that arrived while nobody read, only the newest."""
+    with unstamped_camera() as (url, send):
+        captures = MjpegSource(url).frames(threading.Event())
+        for k in range(3):
+            threading.Timer(0.02, send, (k,)).start()
+            assert next(captures).jpeg == b"%d" % k
+        for k in range(3, 8):
+            send(k)
+        assert next(captures).jpeg == b"7"
+
+
+def test_after_a_silence_a_stream_without_stamps_is_reopened() -> None:
+    """A service that was stopped for longer finds pictures of unknown age."""
+    with unstamped_camera() as (url, send):
+        captures = MjpegSource(url).frames(threading.Event())
+        threading.Timer(0.02, send, (0,)).start()
+        assert next(captures).jpeg == b"0"
+        time.sleep(0.6)
+        send(1)
+        with pytest.raises(CameraError, match="what waited may be old"):
+            next(captures)
