@@ -71,7 +71,8 @@ class Camera:
     """One finger's camera: a thread that captures, stamps, counts, notices stalls and size changes, and reconnects.
 
     ``on_frame`` is called in the capture thread for each frame, ``on_fault(finger, code, detail)`` once per change into
-    a bad state; codes are camera_lost, camera_stalled, camera_frozen, camera_size.
+    a bad state; codes are camera_lost, camera_stalled, camera_frozen, camera_size. ``refuses`` says why pictures of a
+    shape [h, w, 3] are of no use; a camera that delivers such is lost, with that detail.
 
     A picture that repeats the last one bit for bit is not new, since every camera has noise: it is counted but not
     passed on, and half a second of nothing else is a frozen camera. While ``attended`` is False, most JPEGs are counted
@@ -85,6 +86,7 @@ class Camera:
         on_frame: Callable[[CameraFrame], None],
         on_fault: Callable[[Finger, FaultCode, str], None],
         attended: Callable[[], bool] = lambda: True,
+        refuses: Callable[[tuple[int, ...]], str | None] = lambda _: None,
     ) -> None:
         self.finger = finger
         self.source = source
@@ -96,7 +98,7 @@ class Camera:
         self._picture: bytes | NDArray[np.uint8] = b""
         self.shape: tuple[int, ...] | None = None
         self.last_fault = ""
-        self._on_frame, self._on_fault, self._attended = on_frame, on_fault, attended
+        self._on_frame, self._on_fault, self._attended, self._refuses = on_frame, on_fault, attended, refuses
         self._stamps: deque[int] = deque(maxlen=31)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"camera-{finger}", daemon=True)
@@ -162,10 +164,13 @@ class Camera:
         if pixels is None:
             return
         self._skipped_n = 0
-        if self.shape is not None and pixels.shape != self.shape:
-            was, self.shape = self.shape, pixels.shape
+        was, self.shape = self.shape, pixels.shape
+        if refused := self._refuses(pixels.shape):
+            if (self.state, self.last_fault) != ("lost", refused):
+                self._fault("lost", "camera_size", refused)
+            return
+        if was is not None and was != self.shape and not self._refuses(was):
             self._fault("lost", "camera_size", f"{self.finger} frames changed from {_size(was)} to {_size(self.shape)}")
-        self.shape = pixels.shape
         seq = self.latest.frame.seq + 1 if self.latest else 0
         frame = CameraFrame(TactileFrame(self.finger, seq, capture.captured_ns, pixels), capture.jpeg or None)
         self.latest = frame

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,7 @@ class Station:
                 self._on_camera_frame,
                 self._on_camera_fault,
                 self._attends,
+                partial(self._size_fault, finger),
             )
             for finger in FINGERS
         }
@@ -87,24 +89,26 @@ class Station:
         """Wait for a first frame of each finger and check its size; raise CameraError with the remedy."""
         deadline = now_ns() + int(timeout_s * 1e9)
         while any(camera.latest is None for camera in self.cameras.values()):
+            for finger, camera in self.cameras.items():
+                if camera.shape and (fault := self._size_fault(finger, camera.shape)):
+                    raise CameraError(fault)
             if now_ns() > deadline:
                 return
             threading.Event().wait(0.02)
-        for finger, camera in self.cameras.items():
-            self._check_size(finger, camera.latest.frame.pixels.shape if camera.latest else ())
         frames = [camera.latest.frame for camera in self.cameras.values() if camera.latest]
         warm_up(make_session(self.models, self.manager.calibration), frames)
 
-    def _check_size(self, finger: Finger, shape: tuple[int, ...]) -> None:
-        card = self.models.card.frame
-        accepted = [card.shape]
+    def _size_fault(self, finger: Finger, shape: tuple[int, ...]) -> str | None:
+        """Why pictures of this size are of no use, None if they can be raw or rectified."""
+        accepted = [self.models.card.frame.shape]
         calibration = self.manager.calibration
         if calibration:
             accepted.append(calibration.camera(finger).raw.shape)
-        if shape not in accepted:
-            sizes = " or ".join(f"{width} x {height}" for height, width, _ in accepted)
-            hint = "set the camera to it" if calibration else "raw frames need --calibration FILE (service calibrate)"
-            raise CameraError(f"{finger} camera delivers {shape[1]} x {shape[0]} frames, expected {sizes}; {hint}")
+        if shape in accepted:
+            return None
+        sizes = " or ".join(f"{width} x {height}" for height, width, _ in accepted)
+        hint = "set the camera to it" if calibration else "raw frames need --calibration FILE (service calibrate)"
+        return f"{finger} camera delivers {shape[1]} x {shape[0]} frames, expected {sizes}; {hint}"
 
     def stop(self) -> None:
         """Abort a running insertion, close its recording, end all threads."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.cameras.capture import CameraError, CameraFrame
+from service.cameras.capture import CameraError, CameraFrame, Capture
 from service.contract import ContractError, TactileFrame
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
@@ -89,15 +89,22 @@ def test_a_station_is_ready_with_both_cameras(idle: Station, states: tuple[str, 
     assert idle.ready == ready
 
 
-@pytest.mark.parametrize(("width_px", "accepted"), [(327, True), (640, False)])
-def test_a_camera_of_another_size_is_named_with_the_size_that_is_expected(
-    idle: Station, width_px: int, accepted: bool
+def test_a_camera_of_another_size_is_not_live_and_is_named_with_the_size_that_is_expected(
+    idle: Station, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if accepted:
-        idle._check_size("left", (320, width_px, 3))
-        return
-    with pytest.raises(CameraError, match="left camera delivers 640 x 320 frames, expected 327 x 320; raw frames need"):
-        idle._check_size("left", (320, width_px, 3))
+    """Whenever its pictures begin to come: every insertion would be refused while the service says that it is ready."""
+    published = []
+    monkeypatch.setattr(idle.hub, "publish", lambda kind, content: published.append((kind, content)))
+    rng = np.random.default_rng(0)
+    for stamp_ns, width_px in enumerate((640, 640, 327, 640), 1):
+        pixels = rng.integers(0, 255, (320, width_px, 3), np.uint8)
+        for camera in idle.cameras.values():
+            camera._publish(Capture(stamp_ns, pixels))
+        assert idle.ready == (width_px == 327)
+    fault = "left camera delivers 640 x 320 frames, expected 327 x 320; raw frames need --calibration FILE"
+    assert idle.cameras["left"].last_fault.startswith(fault)
+    codes = [content["code"] for kind, content in published if kind == "camera_fault" and content["finger"] == "left"]
+    assert codes == ["camera_size"] * 2, "once for each time that the size became wrong"
 
 
 def test_a_finger_that_has_a_camera_takes_no_pushed_frames(idle: Station) -> None:
@@ -182,7 +189,8 @@ def test_cameras_that_show_nothing_are_waited_for_in_vain_and_others_warm_the_se
         camera.latest = CameraFrame(TactileFrame(finger, 0, 0, big), None)
     idle.wait_for_cameras(2.0)
     assert rehearsed == [["left", "right"]]
-    idle.cameras["right"].latest = CameraFrame(TactileFrame("right", 0, 0, big[:2, :2]), None)
+    idle.cameras["right"].latest = None
+    idle.cameras["right"]._publish(Capture(1, big[:2, :2]))
     with pytest.raises(CameraError, match="right camera delivers 2 x 2 frames"):
         idle.wait_for_cameras(2.0)
 
@@ -190,9 +198,8 @@ def test_cameras_that_show_nothing_are_waited_for_in_vain_and_others_warm_the_se
 def test_with_a_calibration_a_camera_may_be_raw_or_rectified(idle: Station) -> None:
     idle.manager.calibration = drawn.calibration()
     for width_px in (327, 427):
-        idle._check_size("left", (320, width_px, 3))
-    with pytest.raises(CameraError, match="expected 327 x 320 or 427 x 320; set the camera to it"):
-        idle._check_size("left", (480, 640, 3))
+        assert idle._size_fault("left", (320, width_px, 3)) is None
+    assert "expected 327 x 320 or 427 x 320; set the camera to it" in str(idle._size_fault("left", (480, 640, 3)))
 
 
 def test_a_cameras_fault_is_shown_and_told_to_the_insertion(idle: Station, monkeypatch: pytest.MonkeyPatch) -> None:
