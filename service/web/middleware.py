@@ -86,7 +86,7 @@ class RequestLimits:
         send = hardened(send)
         if too_fast:
             text = f"more than {self._rate.per_s:g} requests a second; slow down"
-            await JSONResponse({"error": text}, 429, {"Retry-After": "1"})(scope, receive, send)
+            await JSONResponse({"error": text}, 429, {"Retry-After": "1", "Connection": "close"})(scope, receive, send)
         elif declared_bytes(scope) > MAX_BODY_BYTES:
             await JSONResponse({"error": _too_large(MAX_BODY_BYTES)}, 413)(scope, receive, send)
         else:

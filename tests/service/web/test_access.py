@@ -6,6 +6,7 @@ import shutil
 import socket
 import ssl
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from service.web import middleware, server
 from service.web.middleware import BURST_S, Rate
 from tests.service.conftest import LiveService, live_service
 
+ROOT = Path(__file__).parents[3]
 WATCH, DRIVE = "a-token-for-watching", "a-token-for-driving"
 
 
@@ -159,6 +161,20 @@ def test_tls_carries_requests_and_an_insertion_and_nothing_goes_in_the_clear(
         with connect(path, ssl=trusting, additional_headers=bearer, compression=None) as link:
             link.send(wire.ClientHello(insertion_id="tls", client="test").model_dump_json())
             assert wire.parse_service(link.recv(20)).type == "hello"
+
+
+def test_a_tls_connection_that_says_nothing_is_closed_and_the_health_check_speaks_tls(
+    tmp_path: Path, models_folder: Path, certificate: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.web.server.HEAD_TIMEOUT_S", 0.5)
+    cert, key = certificate
+    with live_service(tmp_path, models_folder, tls_certificate=cert, tls_key=key) as guarded:
+        with socket.create_connection(("127.0.0.1", guarded.port), 5) as silent:
+            assert silent.recv(1) == b""
+        check = [sys.executable, "-I", "-S", str(ROOT / "docker" / "healthcheck.py"), str(guarded.port), "/healthz"]
+        for certificate_file, code in (("", 1), (str(cert), 0)):
+            settings = {"TACTILE_TLS_CERTIFICATE": certificate_file, "TACTILE_HOST": "127.0.0.1"}
+            assert subprocess.run(check, env=settings, check=False).returncode == code
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.20", "cell-pc.local"])
