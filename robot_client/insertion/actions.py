@@ -136,8 +136,8 @@ def descend(state: State, captured_ns: int, at_s: float) -> Result:
     assert state.pose is not None
     plan, start_mm = state.plan, state.pose.z_mm
     bottom = state.armed.at_height(state.armed.z_mm - state.bottom_mm)
-    probing_mm_s, tops = plan.ramps.descend.speed_mm_s, state.tops or plan.tops
-    legs = plan.pace.legs(start_mm, bottom.z_mm, probing_mm_s, tops) if state.fast else ()
+    probing_mm_s, state = plan.ramps.descend.speed_mm_s, replace(state, touched=False)
+    legs = plan.pace.legs(start_mm, bottom.z_mm, probing_mm_s, state.tops) if state.fast else ()
     state, commands = go(state, Phase.DESCENDING, (bottom,), "descend", at_s, state.until_s, legs)
     if state.done:
         return state, commands
@@ -174,9 +174,16 @@ def renew(state: State, captured_ns: int, at_s: float) -> Result:
     if at_s >= state.until_s + state.plan.pause_s:
         return unwatched(state, at_s)
     newer, stood_s = watched(state, captured_ns, at_s), max(0.0, at_s - state.until_s)
-    if stood_s and newer is not state:  # the rest of the way comes that much later
-        newer = replace(newer, speeds=tuple((due_s + stood_s, way_mm, mm_s) for due_s, way_mm, mm_s in state.speeds))
-    return newer, () if newer is state else (Renew(until_s=newer.until_s),)
+    if newer is state:
+        return state, ()
+    if not stood_s:
+        return newer, (Renew(until_s=newer.until_s),)
+    # the rest of the way comes that much later
+    newer = replace(newer, speeds=tuple((due_s + stood_s, way_mm, mm_s) for due_s, way_mm, mm_s in state.speeds))
+    paused = wire.Descending(
+        insertion_id=state.plan.insertion_id, attempt=state.attempt, speed_mm_s=state.speed_mm_s, paused_s=stood_s
+    )
+    return newer, (Renew(until_s=newer.until_s), send(paused))
 
 
 def unwatched(state: State, at_s: float) -> Result:
@@ -194,6 +201,7 @@ def hold(state: State, reason: str, at_s: float) -> Result:
 
 
 def stop(state: State, message: wire.Slip | wire.Enough, at_s: float) -> Result:
+    state = replace(state, touched=message.pressed_mm is not None)
     felt = f"slip on finger {message.finger}" if message.type == "slip" else f"pressed by {message.pressed_mm:.2f} mm"
     return hold(state, f"{felt}, frame {message.frame_seq}", at_s)
 
@@ -215,7 +223,7 @@ def retract(state: State, dx_mm: float, dtheta_deg: float, at_s: float) -> Resul
     assert state.armed is not None
     assert state.pose is not None
     plan, stop_mm = state.plan, state.pose.z_mm
-    tops = (state.tops or plan.tops).with_stop(stop_mm)
+    tops = state.tops.with_stop(stop_mm)
     up = state.armed.at_height(plan.pace.up_to_mm(state.armed.z_mm, plan.tops, tops, stop_mm))
-    path, state = (up, up.corrected(dx_mm, dtheta_deg)), replace(state, tops=tops)
+    path, state = (up, up.corrected(dx_mm, dtheta_deg)), replace(state, met=tops)
     return go(state, Phase.RETRACTING, path, "retract", at_s)

@@ -114,6 +114,7 @@ def _on_begin(state: State, event: Begin) -> Result:
         continues=plan.continues,
         takes_afresh=plan.fixture,
         most_tilt_deg=plan.most_tilt_deg,
+        purpose=plan.purpose,
     )
     state = replace(state, phase=Phase.GREETING, pose=event.pose, held=event.held, no_decisions=plan.no_decisions)
     return replace(state, deadline_s=event.at_s + plan.timeouts.greeting_s), (send(hello),)
@@ -136,7 +137,7 @@ def _on_standstill(state: State, event: Standstill) -> Result:
     state = replace(state, pose=event.pose, stopped_s=event.at_s)
     inserted = depth_mm >= plan.expected_depth_mm - plan.depth_tolerance_mm
     outcome: wire.Outcome = "dropped" if state.dropped else "inserted" if inserted else "blocked"
-    if outcome == "blocked":
+    if outcome == "blocked" and state.touched:
         first_mm = depth_mm if state.first_touch_mm is None else state.first_touch_mm
         state = replace(state, first_touch_mm=first_mm, creep_mm=max(0.0, depth_mm - first_mm))
     stopped = send(

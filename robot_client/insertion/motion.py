@@ -85,13 +85,16 @@ def check_ramps(limits: Limits, ramps: Ramps) -> None:
                 raise LimitError(f"ramps.{motion}.{name} = {value:g}, the limits allow above 0 and up to {bound:g}")
 
 
-def check_legs(limits: Limits, motion: Motion, end: WorkPose, legs: tuple[Leg, ...]) -> None:
-    """Raise LimitError for legs that are too fast, end elsewhere, or belong to no descent."""
+def check_legs(limits: Limits, motion: Motion, start: WorkPose, end: WorkPose, legs: tuple[Leg, ...]) -> None:
+    """Raise LimitError for legs that are too fast, lead up, end elsewhere, or belong to no descent."""
     if not legs:
         return
     top = limits.max_descent_speed_mm_s
     if motion != "descend" or legs[-1][0] != end.z_mm or not all(0.0 < speed <= top for _, speed in legs):
         raise LimitError(f"{motion} to z_mm = {end.z_mm:g} in legs {legs}: expected a descent, up to {top:g} mm/s")
+    heights_mm = [start.z_mm, *(height_mm for height_mm, _ in legs)]
+    if any(lower_mm >= upper_mm for upper_mm, lower_mm in itertools.pairwise(heights_mm)):
+        raise LimitError(f"descent from z_mm = {start.z_mm:g} in legs {legs}: expected each one to lead down")
 
 
 class MotionGuide:
@@ -133,7 +136,7 @@ class MotionGuide:
         """
         check_leased(motion, until_s)
         check_pose(self.limits, end)
-        check_legs(self.limits, motion, end, legs)
+        check_legs(self.limits, motion, self.target, end, legs)
         profile = self.ramps.in_legs(self.target.z_mm, legs) if legs else self.ramps.profile(self.target, end, motion)
         self._guard.rest()
         self._start, self._end, self._motion = self.target, end, motion

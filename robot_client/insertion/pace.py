@@ -12,6 +12,8 @@ from robot_client.insertion.limits import Leg, LimitError, Limits, Positive
 from service.contract.frames import Contract
 from service.contract.wire import PRESS_MM
 
+LEAST_LEG_MM = 0.1  # an arm settles to less; a shorter leg might lead up
+
 
 class Tops(NamedTuple):
     """Heights of the TCP between which the object meets the tops of the blocks, mm."""
@@ -58,7 +60,8 @@ class Pace(Contract):
         )
         legs, height_mm = list[Leg](), start_mm
         for until_mm, speed_mm_s in ways:
-            if (lower_mm := max(until_mm, end_mm)) < height_mm:
+            lower_mm = end_mm if until_mm < end_mm + LEAST_LEG_MM else until_mm
+            if lower_mm < height_mm - LEAST_LEG_MM:
                 legs.append((lower_mm, speed_mm_s))
                 height_mm = lower_mm
         return () if all(speed_mm_s == probing_mm_s for _, speed_mm_s in legs) else tuple(legs)

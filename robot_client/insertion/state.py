@@ -67,7 +67,8 @@ class Plan(Contract):
     probe ends above the gap again after its first decision, whatever that is: it follows no correction. ``until_slip``:
     a probe that presses on until the gel slides, to identify the gel.
 
-    ``no_decisions``: number of attempts in a row without a decision before the object was regrasped.
+    ``no_decisions``: number of attempts in a row without a decision before the object was regrasped. ``met``: where the
+    attempts before that met the tops.
 
     ``creep_allowance_mm``: extra depth of the TCP below ``expected_depth_mm`` where earlier attempts pushed the object
     up in the hand, so that its bottom gets to full depth. 0: none. ``clearance_mm``: the object's bottom above the
@@ -100,6 +101,7 @@ class Plan(Contract):
     lease: Lease = Lease()
     gels: dict[Finger, str] = Field(default_factory=dict)
     signs_known: bool = False
+    met: Tops | None = None
     pause_s: float = Field(default=0.0, ge=0.0, le=PAUSE_S)
     pace: Pace = ONE_SPEED
 
@@ -184,8 +186,9 @@ class State:
     last one: the object stood on the blocks at both, so it has been pushed up in the hand by about that much. ``held``:
     the gripper held something when the insertion began. ``width_mm``: distance of its fingers, as far as it reports it;
     ``open_mm``: before they closed.
-    ``watched_s``: the earliest possible capture of the newest judged frame, on our clock. ``tops``: positions of the
-    blocks' tops by the plan and by the attempts so far. ``fast``: the cameras' rate suffices for the fast legs.
+    ``watched_s``: the earliest possible capture of the newest judged frame, on our clock. ``met``: heights at which
+    attempts stopped on the tops. ``touched``: something has pressed on the object in this descent. ``fast``: the
+    cameras' rate suffices for the fast legs.
     ``speed_mm_s``: of the descent under way; ``speeds``: time (``at_s``), distance (mm) and value (mm/s) of its
     changes. ``straightened``: the last attempt before which the tool was tilted; ``arms_again``: it is being tilted,
     and the attempt keeps its number.
@@ -209,12 +212,18 @@ class State:
     creep_mm: float = 0.0
     clock: ClockMap | None = None
     watched_s: float = -math.inf
-    tops: Tops | None = None
+    met: Tops | None = None
+    touched: bool = False
     fast: bool = False
     speeds: tuple[tuple[float, float, float], ...] = ()
     speed_mm_s: float = 0.0
     arms_again: bool = False
     straightened: int = 0
+
+    @property
+    def tops(self) -> Tops:
+        """Where the object meets the blocks' tops, by the plan and by the attempts so far."""
+        return self.met or self.plan.met or self.plan.tops
 
     @property
     def until_s(self) -> float:
@@ -248,6 +257,7 @@ class State:
                 "insertion_id": insertion_id,
                 "continues": plan.insertion_id,
                 "no_decisions": self.no_decisions,
+                "met": self.tops,
                 "approach": self.armed.at_height(plan.approach.z_mm).tilted(0.0),
                 "limits": plan.limits.model_copy(update={"max_attempts": left_n}),
             }

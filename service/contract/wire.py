@@ -85,6 +85,7 @@ class ClientHello(_Message):
 
     ``continues``: the insertion whose object was regrasped, see `Refused`. ``takes_afresh``: the client can regrasp.
     ``most_tilt_deg``: how far it may be asked to `Straighten`; 0 if never, as in a cell whose signs nobody has checked.
+    ``purpose``: see `Episode`; where nothing is to be inserted, an object may hang in the hand as it likes.
     """
 
     type: Literal["hello"] = "hello"
@@ -96,6 +97,7 @@ class ClientHello(_Message):
     continues: InsertionId | None = None
     takes_afresh: bool = False
     most_tilt_deg: float = Field(default=0.0, ge=0, le=10)
+    purpose: Literal["insert", "probe", "timing"] = "insert"
 
 
 class LearnOpen(_Message):
@@ -131,12 +133,16 @@ class Arm(_Message):
 
 
 class Descending(_Message):
-    """A guarded descent begins or continues at ``speed_mm_s``, from ``start_mm`` below the armed pose."""
+    """A guarded descent begins or continues at ``speed_mm_s``, from ``start_mm`` below the armed pose.
+
+    ``paused_s``: it continues at the speed it had, after the arm has stood on the way for so long.
+    """
 
     type: Literal["descending"] = "descending"
     attempt: Attempt
     speed_mm_s: float | None = Field(default=None, gt=0, le=1000)
     start_mm: float = Field(default=0.0, ge=0, le=1000)
+    paused_s: float = Field(default=0.0, ge=0, le=1)
 
 
 class Stopped(_Message):

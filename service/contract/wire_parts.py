@@ -1,15 +1,16 @@
 """The parts of the messages in :mod:`service.contract.wire`, the answers to `arm`, and what is only recorded."""
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from service.contract.frames import Contract, Finger
 from service.contract.model_card import ModelCard
 
 InsertionId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 MAX_SAMPLES = 64
+MOST_WAITED_NS = 600_000_000_000
 Outcome = Literal["blocked", "inserted", "dropped", "stopped"]
 ControllerName = Literal["heuristic", "belief"]
 Cause = Literal[
@@ -183,9 +184,16 @@ class Telemetry(InsertionMessage):
     """
 
     type: Literal["telemetry"] = "telemetry"
-    sent_ns: int
+    sent_ns: int = Field(ge=0, lt=1 << 62)
     samples: tuple[RobotSample, ...] = Field(max_length=MAX_SAMPLES)
     left_out_n: int = Field(default=0, ge=0)
+
+    @model_validator(mode="after")
+    def _recent(self) -> Self:
+        for sample in self.samples:
+            if abs(sample.at_ns - self.sent_ns) > MOST_WAITED_NS:
+                raise ValueError(f"at_ns = {sample.at_ns} lies more than ten minutes from sent_ns = {self.sent_ns}")
+        return self
 
 
 class Episode(InsertionMessage):

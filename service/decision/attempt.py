@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import FINGERS, Finger, ModelCard, TactileFrame, wire
-from service.contract.model_card import CONDITIONS
 from service.contract.wire import Arm, Armed, Correction, Descending, NoDecision, Outcome, Refused, Watching
 from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.held_tilt import HeldTilt
 from service.decision.network_input import Descent
 from service.decision.seating import Push, push_of
-from service.perception.observation import FingerWatch, Observation, PairObservation
+from service.perception.observation import FingerWatch, Observation, PairObservation, nothing_held
+from service.perception.pressing import Legs
 from service.perception.slip.onset import OnsetDetector
 
 RING_PAIRS = 24  # the onset is confirmed a few frames late; the ring reaches back past it
@@ -37,20 +37,11 @@ class Stage(Enum):
 class WorkResult:
     """Result of the model thread: evidence or a refusal for one attempt, and the time it took."""
 
-    attempt: int
+    insertion_id: str
     generation: int
     evidence: Evidence | None
     refusal: Refusal | None
     latency_ms: dict[str, float]
-
-
-def nothing_held(both: PairObservation) -> str:
-    """Why the hand counts as empty, or "": both gels look as if nothing touches them.
-
-    One finger alone may look so, under a flat object in a light grip. Stiff gels may show only the object's weight.
-    """
-    weighed = all((finger.weight or 0.0) >= 1.0 for finger in both.fingers)
-    return "both gels look as they do when nothing touches them" if both.looks_open and not weighed else ""
 
 
 def implausible_width(arm: Arm) -> str:
@@ -65,18 +56,20 @@ class Attempt:
     """State of one attempt; ``generation`` separates a re-armed attempt's late results from its current ones.
 
     ``fed``: the networks have received their last input. ``stop_ns``: capture of the frame that stopped the arm.
-    ``tilt``: of the object in the hand, and of the tool against it.
+    ``tilt``: of the object in the hand, and of the tool against it. ``inserts``: not a probe, which may not know it.
     """
 
     arm: Arm
     armed_ns: int
     generation: int
     tilt: HeldTilt = field(default_factory=HeldTilt)
+    inserts: bool = True
     stage: Stage = Stage.ARMING
     reference: PairObservation | None = None
     armed: Armed | None = None
     descending_ns: int | None = None
     leg_ns: int | None = None  # start of its present speed
+    legs: Legs = field(default_factory=Legs)
     pushes: list[Push] = field(default_factory=list)
     ring: deque[PairObservation] = field(default_factory=lambda: deque(maxlen=RING_PAIRS))
     onset_ns: int | None = None
@@ -108,6 +101,10 @@ class Attempt:
     def spoilt(self) -> bool:
         """Whether its reference is no longer valid: a stop was sent, or a camera has failed since."""
         return self.slip_sent or self.stale_sent or bool(self.broken)
+
+    def awaits(self, result: WorkResult) -> bool:
+        """Whether a result is of this attempt since it was armed, and not of one before or of another insertion."""
+        return (result.insertion_id, result.generation) == (self.arm.insertion_id, self.generation)
 
     def rearm(self, watch: FingerWatch, frame: TactileFrame) -> None:
         """Let the first frame of a finger captured after `arm` become the reference of its slip and onset."""
@@ -149,6 +146,8 @@ class Attempt:
 
     def _upright(self, both: PairObservation) -> wire.Straighten | Refused | None:
         """What has to come before the descent of an object that is tilted in the hand, None if nothing."""
+        if self.tilt.unknown and not self.inserts:
+            return None
         self.tilt.lifted(both)
         if (tilt_deg := self.tilt.straightening()) is not None:
             self.stage = Stage.STRAIGHTENING
@@ -198,6 +197,18 @@ class Attempt:
         self._await_onset()
         return True
 
+    def _dismiss_early_onset(self) -> None:
+        """What moved before the arm did is not the press, and its depth could not be known."""
+        if self.onset_ns is not None and self.ring:
+            self.fed, self.result = False, None
+            self._await_onset()
+
+    @property
+    def paused_in_press(self) -> bool:
+        """Whether the arm stood after the onset of motion, so that the depth of the pictures is not known."""
+        onset_ns, paused_ns = self.onset_ns, self.legs.paused_ns
+        return onset_ns is not None and paused_ns is not None and onset_ns < paused_ns
+
     def _await_onset(self) -> None:
         """Wait for the onset from the newest pair on, relative to its gel state."""
         pair = self.ring[-1]
@@ -244,9 +255,20 @@ class Attempt:
         }
 
     def descends(self, message: Descending, now_ns: int) -> None:
-        """The arm descends, from now on at the stated speed, which it may change on the way."""
-        self.descending_ns = now_ns if self.descending_ns is None else self.descending_ns
+        """The arm descends, from now on at the stated speed, which it may change; or it goes on after a pause."""
+        if message.paused_s:
+            self.legs.pauses(now_ns, message.paused_s)
+            return
+        if self.descending_ns is None:
+            self.descending_ns = now_ns
+            self._dismiss_early_onset()
         self.speed_mm_s, self.start_mm, self.leg_ns = message.speed_mm_s, message.start_mm, now_ns
+        self.legs.add(now_ns, message.speed_mm_s or 0.0)
+
+    def ends(self, message: wire.Stopped) -> None:
+        """The arm says where it stands, and what the gripper holds."""
+        self.outcome, self.depth_mm = message.outcome, message.depth_mm
+        self.gripper_width_mm = message.gripper_width_mm
 
     def stops(self, now_ns: int) -> None:
         """The arm is ordered to stop because of a frame captured at ``now_ns``."""
@@ -266,34 +288,8 @@ class Attempt:
                 return []
             pairs = list(self.ring)
             self.decision_pairs += pairs[index:]
-            self.descent = Descent(card, self.conditions(), self.arm.press_mm, self.arm.until_slip)
+            conditions = self.conditions() | {"speed_mm_s": self.legs.speed_mm_s(self.onset_ns or pair.captured_ns)}
+            self.descent = Descent(card, conditions, self.arm.press_mm, self.legs, self.arm.until_slip)
             fresh = self.descent.begin(pairs, index)
         self.steps += fresh
         return fresh
-
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """The frames of the decision, as :mod:`service.recordings.writer` documents for ``attempt_XX.npz``."""
-        reference = self.network_reference or self.reference
-        if reference is None:
-            return {}
-        pairs = self.decision_pairs or [reference]
-        last = pairs[-1].fingers
-        return {
-            "frames": np.stack([pair.pixels() for pair in pairs]),
-            "reference": reference.pixels(),
-            "frame_seq": np.array([pair.seq for pair in pairs], np.int64),
-            "captured_ns": np.array([pair.captured_ns for pair in pairs], np.int64),
-            "rest_px": np.stack([finger.field.rest_px for finger in last]),
-            "displacement_px": np.stack([finger.field.displacement_px for finger in last]),
-            "valid": np.stack([finger.field.valid for finger in last]),
-            **self.read_by_depth(),
-        }
-
-    def read_by_depth(self) -> dict[str, NDArray[np.generic]]:
-        """The decision, and the input of networks that read steps of depth; no pictures."""
-        decision = {"decision": np.array(self.decision.model_dump_json() if self.decision else "{}")}
-        if not self.steps or self.descent is None or self.reference is None:
-            return decision
-        conditions = [self.descent.conditions.get(name) or 0.0 for name in CONDITIONS]
-        steps = {"steps": np.stack(self.steps), "conditions": np.array(conditions, np.float32)}
-        return {**decision, **steps, "held_px": self.reference.markers_px()}

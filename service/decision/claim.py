@@ -12,7 +12,7 @@ import numpy as np
 
 from service.contract.wire import Cause, Doubt, DoubtReason
 from service.decision.attempt import Attempt
-from service.decision.held_tilt import HeldTilt, Touch
+from service.decision.held_tilt import UNSEEN, HeldTilt, Touch
 from service.decision.seating import Push, seating_evidence, strongest_push
 from service.perception.observation import WEIGHED_SHARE, Observation, PairObservation
 from service.perception.turning import turned_going_in
@@ -52,6 +52,15 @@ class GraspRecord:
         followed = late_mm + slid_mm(attempt) <= SLID_MM and self.late_mm <= ALL_LATE_MM
         self.tilt.pressed(attempt.ring[-1] if attempt.ring and followed else None, touch_of(attempt))
 
+    def begins(self, width_mm: float | None, unknown: str) -> None:
+        """The first arming. ``unknown``: why it is not known how the object hangs, or ""."""
+        self.width_mm, self.tilt.unknown = width_mm, self.tilt.unknown or unknown
+
+    def unfollowed(self, attempt: Attempt) -> None:
+        """The arm went down in an attempt of which no end is known: the object may have turned in the hand."""
+        self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
+        self.tilt.unknown = self.tilt.unknown or UNSEEN
+
 
 def went_mm_s(attempt: Attempt) -> float:
     """Mean speed of a descent, or of its last leg; infinite if its time is unknown."""
@@ -62,17 +71,19 @@ def went_mm_s(attempt: Attempt) -> float:
 
 
 def pressed_mm(attempt: Attempt) -> float:
-    """Travel of the arm after the onset of motion, mm, at its mean speed; 0 without an onset."""
+    """Travel of the arm after the onset of motion, mm, on its last leg at its mean speed; 0 without an onset."""
     began, onset, stopped = attempt.descending_ns, attempt.onset_ns, attempt.stopped_ns
     if began is None or onset is None or stopped is None or not began < onset < stopped:
         return 0.0
-    return went_mm_s(attempt) * (stopped - onset) * 1e-9
+    leg = began if attempt.leg_ns is None else attempt.leg_ns
+    before_mm = max(0.0, attempt.legs.travel_mm(onset, leg))
+    return before_mm + went_mm_s(attempt) * (stopped - max(onset, leg)) * 1e-9
 
 
 def touch_of(attempt: Attempt) -> Touch | None:
-    """Where a blocked attempt touched; None where the tops are not known to be level, or no onset was seen."""
+    """Where a blocked attempt touched; None without an onset, after a pause, or where the tops may not be level."""
     level_mm, pressed = attempt.arm.tops_level_mm, pressed_mm(attempt)
-    if level_mm is None or not 0.0 < pressed < math.inf:
+    if level_mm is None or attempt.paused_in_press or not 0.0 < pressed < math.inf:
         return None
     return Touch(attempt.depth_mm - pressed, 0.5 * attempt.arm.gap_width_mm, level_mm)
 

@@ -15,7 +15,7 @@ from service.contract.model_card import MARKER_PITCH, Lattice
 from service.decision.evidence import Refusal
 from service.perception.markers.field import MarkerField, marker_array
 from service.perception.observation import PairObservation
-from service.perception.pressing import DepthSteps, lattice_weights, on_lattice
+from service.perception.pressing import DepthSteps, Legs, lattice_weights, on_lattice
 from service.perception.turning import both_deg, carried_rad
 
 Floats = NDArray[np.float32]
@@ -75,12 +75,14 @@ class PressedFinger:
 class Descent:
     """The steps of depth of one attempt. ``speed_mm_s`` None: not stated by the client, so no depth is known.
 
-    ``press_mm``: length of the press. ``until_slip``: press on after the last step that the networks read.
+    ``press_mm``: length of the press. ``legs``: how the arm descends. ``until_slip``: press on after the last step that
+    the networks read.
     """
 
     card: ModelCard
     conditions: dict[str, float | None]
     press_mm: float
+    legs: Legs = field(default_factory=Legs)
     until_slip: bool = False
     problem: Refusal | None = None
     _steps: DepthSteps | None = None
@@ -129,11 +131,10 @@ class Descent:
         """Take the pairs so far, ``first`` being the first to show motion; returns the completed steps."""
         try:
             self._check(pairs)
-            speed_mm_s, spec = self.conditions["speed_mm_s"], self.card.pressing
+            spec = self.card.pressing
             assert spec is not None
-            assert speed_mm_s is not None
             longest_n = max(spec.steps_n, self.worth_n)
-            self._steps = DepthSteps(spec.model_copy(update={"steps_n": longest_n}), speed_mm_s)
+            self._steps = DepthSteps(spec.model_copy(update={"steps_n": longest_n}), self.legs)
             self._steps.begin([pair.captured_ns for pair in pairs], [self._read(pair) for pair in pairs], first)
             return self._fresh()
         except Refusal as refusal:

@@ -23,7 +23,6 @@ MIN_VALID_MARKERS = 0.5  # share of a finger's markers, in the last frame of the
 class Work:
     """One piece of network work: a pure computation; ``run`` returns a result only after an attempt's last frame."""
 
-    attempt: int
     run: Callable[[], WorkResult | None]
 
 
@@ -38,13 +37,13 @@ def plan(models: ModelSet, attempt: Attempt) -> list[Work]:
 
 def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work:
     """The networks' step on one pair of the attempt's decision; the step on its last pair returns the result."""
-    number, generation = attempt.arm.attempt, attempt.generation
+    named = attempt.arm.insertion_id, attempt.generation
     if attempt.run is None:
         try:
             reference = network_pair(models.card, attempt.network_reference or pair)
         except Refusal as refusal:
-            refused = WorkResult(number, generation, None, refusal, {})
-            return Work(number, lambda: refused)
+            refused = WorkResult(*named, None, refusal, {})
+            return Work(lambda: refused)
         attempt.run = DecisionRun(models, reference, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm)
     run, pairs = attempt.run, attempt.decision_pairs
     complete = pair is pairs[-1] and len(pairs) >= models.card.frames_per_decision
@@ -56,13 +55,13 @@ def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work
             run.step(network_pair(models.card, pair))
             if not complete:
                 return None
-            return WorkResult(number, generation, run.evidence(), None, latencies(run, pair))
+            return WorkResult(*named, run.evidence(), None, latencies(run, pair))
         except Refusal as refusal:
-            return WorkResult(number, generation, None, refusal, {})
+            return WorkResult(*named, None, refusal, {})
         except Exception as error:
-            return WorkResult(number, generation, None, Refusal("non_finite", f"the networks failed: {error}"), {})
+            return WorkResult(*named, None, Refusal("non_finite", f"the networks failed: {error}"), {})
 
-    return Work(number, compute)
+    return Work(compute)
 
 
 def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
@@ -76,7 +75,7 @@ def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
     steps = steps[: max(0, _read_n(models) - len(attempt.steps) + len(steps))]
     if descent is None or attempt.dismisses(descent):
         return []
-    number, generation, problem = attempt.arm.attempt, attempt.generation, descent.problem
+    named, problem = (attempt.arm.insertion_id, attempt.generation), descent.problem
     attempt.fed = descent.enough or attempt.spoilt or attempt.stage is Stage.STOPPED or problem is not None
     if attempt.run is None:
         attempt.run = _run_of_steps(models, attempt, descent)
@@ -90,13 +89,13 @@ def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
                 return None
             if problem is not None:
                 raise problem
-            return WorkResult(number, generation, run.evidence(), None, latencies(run, pair))
+            return WorkResult(*named, run.evidence(), None, latencies(run, pair))
         except Refusal as refusal:
-            return WorkResult(number, generation, None, refusal, {})
+            return WorkResult(*named, None, refusal, {})
         except Exception as error:
-            return WorkResult(number, generation, None, Refusal("non_finite", f"the networks failed: {error}"), {})
+            return WorkResult(*named, None, Refusal("non_finite", f"the networks failed: {error}"), {})
 
-    return [Work(number, compute)] if steps or complete else []
+    return [Work(compute)] if steps or complete else []
 
 
 def _read_n(models: ModelSet) -> int:
@@ -142,6 +141,10 @@ def latencies(run: DecisionRun, last: PairObservation) -> dict[str, float]:
 
 def check_evidence(models: ModelSet, attempt: Attempt, evidence: Evidence) -> None:
     """Raise Refusal if the evidence is too weak, or the markers too few for these to be imprints."""
+    if not attempt.decision_pairs:
+        raise Refusal("no_motion", "no pair shows the motion that the evidence is of")
+    if attempt.paused_in_press:
+        raise Refusal("stale", "the arm paused in the press: how deep it was in each picture is not known")
     threshold = max(step.card.min_confidence for step in models.steps)
     if not evidence.confidence >= threshold:
         raise Refusal("low_confidence", f"class probability {evidence.confidence:.2f}, expected {threshold:g}")

@@ -127,3 +127,12 @@ def belongs(observation: Observation, pair: FramePair) -> bool:
     """Whether an observation is of this pair's frame of the same finger."""
     frame = pair.left if observation.finger == "left" else pair.right
     return observation.seq == frame.seq and observation.captured_ns == frame.captured_ns
+
+
+def nothing_held(both: PairObservation) -> str:
+    """Why the hand counts as empty, or "": both gels look as if nothing touches them.
+
+    One finger alone may look so, under a flat object in a light grip. Stiff gels may show only the object's weight.
+    """
+    weighed = all((finger.weight or 0.0) >= 1.0 for finger in both.fingers)
+    return "both gels look as they do when nothing touches them" if both.looks_open and not weighed else ""

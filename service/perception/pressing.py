@@ -71,11 +71,44 @@ def step_weights(depths_mm: Doubles, begin_mm: float, end_mm: float) -> Doubles:
 
 
 @dataclass(slots=True)
+class Legs:
+    """The speeds at which an arm descends, each from a stamp on; a pause is a leg without speed."""
+
+    _legs: list[tuple[int, float]] = field(default_factory=list)
+    paused_ns: int | None = None  # end of the last pause
+
+    def add(self, from_ns: int, speed_mm_s: float) -> None:
+        """From that stamp on the arm goes at that speed."""
+        self._legs.append((from_ns, speed_mm_s))
+
+    def pauses(self, until_ns: int, paused_s: float) -> None:
+        """The arm stood for so long, and goes on at the speed it had."""
+        going_mm_s = self._legs[-1][1] if self._legs else 0.0
+        self._legs += [(until_ns - round(paused_s * 1e9), 0.0), (until_ns, going_mm_s)]
+        self.paused_ns = until_ns
+
+    def speed_mm_s(self, at_ns: int) -> float | None:
+        """The speed at a stamp, the first one before; None if none is known."""
+        before = [speed for from_ns, speed in self._legs if from_ns <= at_ns]
+        return before[-1] if before else self._legs[0][1] if self._legs else None
+
+    def travel_mm(self, since_ns: int, until_ns: int) -> float:
+        """The way between two stamps, mm, 0 while no speed is known; negative if the second comes first."""
+        if until_ns < since_ns:
+            return -self.travel_mm(until_ns, since_ns)
+        way_mm, ends = 0.0, [*(from_ns for from_ns, _ in self._legs[1:]), until_ns]
+        for k, ((from_ns, speed_mm_s), end_ns) in enumerate(zip(self._legs, ends, strict=False)):
+            begin_ns = max(since_ns, from_ns) if k else since_ns
+            way_mm += max(0, min(end_ns, until_ns) - begin_ns) * 1e-9 * speed_mm_s
+        return way_mm
+
+
+@dataclass(slots=True)
 class DepthSteps:
     """One descent, fed frame by frame from a few before the onset on; returns each step of depth once complete."""
 
     spec: Pressing
-    speed_mm_s: float
+    legs: Legs
     begin_mm: float | None = None
     steps_n: int = 0
     _start_ns: int = 0
@@ -94,7 +127,7 @@ class DepthSteps:
         return None if self.begin_mm is None else self._depth_mm(stamp_ns) - self.begin_mm
 
     def _depth_mm(self, stamp_ns: int) -> float:
-        return (stamp_ns - self._start_ns) * 1e-9 * self.speed_mm_s
+        return self.legs.travel_mm(self._start_ns, stamp_ns)
 
     def begin(self, stamps_ns: list[int], fields: list[Floats], first: int) -> None:
         """Take the frames so far, fields [2, rows, columns, 3] each; ``first`` is the first to show motion.

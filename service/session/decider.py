@@ -10,7 +10,7 @@ from service.contract import wire
 from service.decision.attempt import Attempt, Stage
 from service.decision.claim import GraspRecord, doubts, newest_age_s
 from service.decision.consistency import Consistency
-from service.decision.controllers import Command, Controller
+from service.decision.controllers import Command, Controller, make_controller
 from service.decision.evidence import Evidence, Refusal
 from service.decision.models import ModelSet
 from service.decision.work import check_evidence, correction, overdue, shown_turns_deg
@@ -46,6 +46,12 @@ class Decider:
         if decision is not None:
             self.grasp.blocked(attempt)
         return decision
+
+    def given_up(self, attempt: Attempt) -> None:
+        """An attempt ends without an answer; the arm may have gone down in it."""
+        if attempt.descending_ns is not None:
+            self.grasp.unfollowed(attempt)
+            self.controller.blocked_without_evidence()
 
     def afresh(self, insertion_id: str) -> "Decider":
         """The decider for an insertion that continues with the same object, regrasped: it keeps the known error."""
@@ -111,6 +117,14 @@ class Decider:
             detail=str(refusal),
             turns_deg=shown_turns_deg(attempt),
         )
+
+
+def decider_of(
+    arm: wire.Arm, models: ModelSet, name: wire.ControllerName, limits: wire.Limits, deadlines: Deadlines
+) -> Decider:
+    """The decider of an insertion that begins with ``arm``."""
+    controller = make_controller(name, limits, arm.grasp_height_mm, models.card.expectations, arm.gripper_width_mm)
+    return Decider(arm.insertion_id, models, controller, deadlines)
 
 
 def _stood_s(attempt: Attempt, now_ns: int) -> float:

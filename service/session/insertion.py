@@ -14,6 +14,7 @@ from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.seating import strongest_push
 from service.perception.observation import Observation
 from service.recordings.writer import Recorder
+from service.session.attempt_arrays import arrays_of
 from service.session.fingers import gels_of
 from service.session.state_machine import InsertionSession, Replies, ignore
 from service.versions.beside import Beside
@@ -158,7 +159,7 @@ class Insertion:
         """Keep the frames of the decision; a decided attempt no longer changes, so they may be gathered later."""
         if attempt.decision is not None:
             self._decisions.append(facts := _facts_of(attempt, attempt.decision))
-            self._note(Recorder.attempt, attempt.arm.attempt, attempt.arrays)
+            self._note(Recorder.attempt, attempt.arm.attempt, partial(arrays_of, attempt))
             if self.beside:
                 self._note(Recorder.work_out, "/beside", partial(_answers, self.beside, attempt, facts), now_ns())
 

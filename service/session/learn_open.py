@@ -4,16 +4,34 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from service.contract import FINGERS, Finger, TactileFrame, wire
+from service.decision.attempt import Attempt
+from service.decision.held_tilt import UNSEEN
 from service.perception.observation import FingerWatch
 
 
 @dataclass(slots=True)
 class OpenGels:
-    """Learns each finger's open gel once per request."""
+    """Learns each finger's open gel once per request.
 
+    ``held_over``: why it is not known how an object hangs in a hand that is not open first, or "".
+    """
+
+    held_over: str = ""
     _asked_ns: int | None = None
     _learnt: set[Finger] = field(default_factory=set)
     _problem: str = "no frame arrived"
+
+    @property
+    def unknown(self) -> str:
+        """Why it is not known how the object hangs, or "": the hand was open before it was grasped."""
+        return "" if len(self._learnt) == len(FINGERS) else self.held_over
+
+    def after(self, finished: wire.Finished, attempt: Attempt | None) -> str:
+        """What an ended insertion holds over to the next one; ``attempt`` is its last."""
+        if finished.outcome == "inserted" or finished.cause == "part_lost":
+            return ""
+        went_down = attempt is not None and (attempt.arm.attempt > 1 or attempt.descending_ns is not None)
+        return UNSEEN if went_down else self.unknown
 
     @property
     def waiting(self) -> bool:

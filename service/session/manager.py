@@ -64,6 +64,7 @@ class InsertionManager:
     jpegs: dict[tuple[Finger, int], bytes | None] = field(default_factory=dict)
     unrecorded_n: int = 0
     _unrecorded: str = ""
+    held_over: str = ""  # see `OpenGels`
     _decided: Decider | None = None  # of the last insertion: the next one may continue with its object
     _tried_n: int = 0  # attempts with that object so far
     _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
@@ -174,6 +175,7 @@ class InsertionManager:
         if before and (before.insertion_id != hello.continues or before.models is not session.models):
             before = None
         session.decider = before and before.afresh(hello.insertion_id)
+        session.open_gels.held_over = self.held_over
         session.deadlines = self.settings.deadlines
         recorder = self._recorder(hello.insertion_id, session, before.insertion_id if before else "")
         self.jpegs = {}
@@ -205,6 +207,7 @@ class InsertionManager:
             "models_folder": str(session.models.steps[0].path.parent),
             "calibration": self._calibration_text,
             "continues": continues,
+            "held_over": session.open_gels.held_over,
         }
         try:
             largest = make_room(root, int(self.settings.recordings_max_gb * 1e9))
@@ -233,7 +236,8 @@ class InsertionManager:
         if insertion is None:
             return
         self._ended[finished.insertion_id] = finished
-        self._decided = insertion.session.decider
+        session = insertion.session
+        self._decided, self.held_over = session.decider, session.open_gels.after(finished, session.attempt)
         refused = finished.cause == "afresh" and not finished.doubts  # the last attempt, before it descended
         descended_n = finished.attempts - refused
         self._tried_n = insertion.tried_n + descended_n

@@ -13,11 +13,11 @@ from service.contract.replies import beat, clock, ending, unspoken
 from service.contract.wire import CameraEntry, ControllerName, Limits, ServiceMessage
 from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.claim import Doubts, unclaimed
-from service.decision.controllers import Command, make_controller
+from service.decision.controllers import Command
 from service.decision.models import ModelSet
 from service.decision.work import Work, enough_message, plan, slip_message
 from service.perception.observation import FingerWatch, Observation
-from service.session.decider import Decider, Decision
+from service.session.decider import Decider, Decision, decider_of
 from service.session.fingers import Fingers
 from service.session.learn_open import OpenGels
 from service.settings import Deadlines
@@ -52,6 +52,7 @@ class InsertionSession:
     on_command: Callable[[Command], None] = ignore
     insertion_id: str | None = None
     takes_afresh: bool = False
+    inserts: bool = True
     most_tilt_deg: float = 0.0
     attempt: Attempt | None = None
     finished: wire.Finished | None = None
@@ -59,7 +60,7 @@ class InsertionSession:
     decider: Decider | None = None
     _fingers: Fingers = field(init=False)
     _generation: int = 0
-    _open: OpenGels = field(default_factory=OpenGels)
+    open_gels: OpenGels = field(default_factory=OpenGels)
 
     def __post_init__(self) -> None:
         self._fingers = Fingers(self.left, self.right)
@@ -83,7 +84,7 @@ class InsertionSession:
             case wire.Abort():
                 replies = self._finish(message.cause, self._fingers.unjudged() if message.cause == "unwatched" else ())
             case wire.LearnOpen() if self.attempt is None or self.attempt.stage is Stage.DECIDED:
-                self._open.ask(message, (self.left, self.right), now_ns)
+                self.open_gels.ask(message, (self.left, self.right), now_ns)
             case _:
                 replies = self._on_attempt_message(message, now_ns)
         return replies
@@ -103,7 +104,7 @@ class InsertionSession:
             return [refused]
         if self.insertion_id is None:
             self.insertion_id, self.most_tilt_deg = message.insertion_id, message.most_tilt_deg
-            self.takes_afresh = message.takes_afresh
+            self.takes_afresh, self.inserts = message.takes_afresh, message.purpose == "insert"
             self.controller_name = message.controller or self.controller_name
         return [
             wire.ServiceHello(
@@ -120,20 +121,20 @@ class InsertionSession:
         last = self.attempt.arm.attempt if self.attempt else 0
         decided = self.attempt is None or self.attempt.stage is Stage.DECIDED
         if (attempt := self.attempt) and message.attempt == last and not decided:
-            if attempt.armed and attempt.stage is Stage.ARMED and not attempt.spoilt:
+            if attempt.armed and attempt.stage is Stage.ARMED and not attempt.spoilt and attempt.descending_ns is None:
                 return [attempt.armed]
+            if self.decider:
+                self.decider.given_up(attempt)
         elif message.attempt != last + 1 or not decided:
             state = "decided" if decided else "not decided yet"
             return [self._fault("protocol", f"arm of attempt {message.attempt}, but attempt {last} is {state}")]
         if self.decider is None:
-            known = message.grasp_height_mm, self.models.card.expectations, message.gripper_width_mm
-            decides = make_controller(self.controller_name, self.limits, *known)
-            self.decider = Decider(message.insertion_id, self.models, decides, self.deadlines)
+            self.decider = decider_of(message, self.models, self.controller_name, self.limits, self.deadlines)
         if message.attempt == 1:
-            self.decider.grasp.width_mm = message.gripper_width_mm
+            self.decider.grasp.begins(message.gripper_width_mm, self.open_gels.unknown)
         self._generation += 1
         tilt = self.decider.grasp.tilt.held_at(message.tilt_deg, self.most_tilt_deg)
-        self.attempt = Attempt(message, now_ns, self._generation, tilt)
+        self.attempt = Attempt(message, now_ns, self._generation, tilt, self.inserts)
         return [*self.decider.before_descending(self.attempt)]
 
     def _descending(self, message: wire.Descending, now_ns: int) -> Replies:
@@ -148,8 +149,7 @@ class InsertionSession:
             return [attempt.decision]
         if attempt is None or not self._is_current(message.attempt, {Stage.ARMED, Stage.STOPPED}):
             return [self._fault("protocol", f"stopped in attempt {message.attempt}, which is not armed")]
-        attempt.outcome, attempt.depth_mm = message.outcome, message.depth_mm
-        attempt.gripper_width_mm = message.gripper_width_mm
+        attempt.ends(message)
         if message.outcome == "dropped":
             return self._end(attempt, "part_lost")
         if attempt.stage is Stage.ARMED:
@@ -165,7 +165,7 @@ class InsertionSession:
     def wants_frames(self) -> bool:
         """Whether an attempt is under way; frames between attempts, while the arm moves freely, are not used."""
         under_way = self.attempt is not None and self.attempt.stage not in {Stage.STRAIGHTENING, Stage.DECIDED}
-        return (under_way or self._open.waiting) and self.finished is None
+        return (under_way or self.open_gels.waiting) and self.finished is None
 
     @property
     def watches_slip(self) -> bool:
@@ -180,8 +180,8 @@ class InsertionSession:
         """Perceive one finger's frame; report slip at once, otherwise that both fingers are watched."""
         self._fingers.note(frame)
         attempt, watch = self.attempt, self._fingers.watch(frame.finger)
-        if self._open.waiting:
-            return self._open.take(str(self.insertion_id), watch, frame)
+        if self.open_gels.waiting:
+            return self.open_gels.take(str(self.insertion_id), watch, frame)
         if attempt is None or not self.wants_frames:
             return []
         attempt.rearm(watch, frame)
@@ -196,7 +196,7 @@ class InsertionSession:
 
     def on_pair(self, pair: FramePair, now_ns: int) -> Replies:
         """Process both fingers' frames of one instant: slip, reference, onset, and the frames of the decision."""
-        if self._open.waiting:
+        if self.open_gels.waiting:
             return [*self.on_frame(pair.left, now_ns), *self.on_frame(pair.right, now_ns)]
         attempt = self.attempt
         if attempt is None or not self.wants_frames:
@@ -227,9 +227,9 @@ class InsertionSession:
         return self.on_result(result, now_ns) if (result := work.run()) else []
 
     def on_result(self, result: WorkResult, now_ns: int) -> Replies:
-        """Take a result of the networks; results of another attempt or an earlier arming are dropped."""
+        """Take a result of the networks; those of another insertion, attempt or arming are dropped."""
         attempt = self.attempt
-        if attempt is None or result.generation != attempt.generation or self.finished is not None:
+        if attempt is None or not attempt.awaits(result) or self.finished is not None:
             return []
         attempt.result = attempt.result or result
         return self._conclude(now_ns)
@@ -247,8 +247,8 @@ class InsertionSession:
     def on_tick(self, now_ns: int) -> Replies:
         """Check deadlines and the age of the newest frame; call it a few times per second."""
         attempt = self.attempt
-        if self._open.waiting:
-            return self._open.overdue(str(self.insertion_id), now_ns, self.deadlines.reference_s)
+        if self.open_gels.waiting:
+            return self.open_gels.overdue(str(self.insertion_id), now_ns, self.deadlines.reference_s)
         if attempt is None or self.finished is not None:
             return []
         if attempt.stage is Stage.ARMING and now_ns - attempt.armed_ns > self.deadlines.reference_s * 1e9:

@@ -20,6 +20,7 @@ from typing import Any
 from service.cameras.capture import Camera, CameraError, CameraFrame, Pairer, now_ns
 from service.cameras.sources import PushSource, open_source
 from service.contract import FINGERS, ContractError, Finger, FramePair, wire
+from service.decision.held_tilt import UNSEEN
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from service.observability.hub import Hub
@@ -287,8 +288,9 @@ def open_station(settings: Settings) -> Station:
             f" the models expect {models.card.frame.shape[1::-1]}; calibrate for that size"
         )
     Path(settings.recordings).mkdir(parents=True, exist_ok=True)
-    recover(settings.recordings)
+    interrupted = recover(settings.recordings)
     station = Station(settings, models, calibration)
+    station.manager.held_over = UNSEEN if interrupted else ""  # that service may have ended in the middle of a press
     if settings.shadow:
         station.versions.give(settings.shadow, at_start=True)
     return station

@@ -110,6 +110,7 @@ def open_replay(recording: Recording, models: ModelSet) -> Replay:
     limits = Limits.model_validate_json(recording.metadata["limits"])
     controller: Any = recording.metadata["controller"]
     session = make_session(models, calibration, controller, limits)
+    session.open_gels.held_over = recording.metadata.get("held_over", "")
     return Replay(recording, session, {finger: recording.frames(finger) for finger in FINGERS})
 
 

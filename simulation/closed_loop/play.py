@@ -174,9 +174,10 @@ class Insertion:
                 if came:
                     self._hear(self.session.on_frame(frame, now_ns))
         while self._skipped:
-            work, attempt = self._skipped.pop(0), self.session.attempt
+            self._skipped.pop(0)
+            attempt = self.session.attempt
             if attempt is not None and attempt.result is None:
-                result = WorkResult(work.attempt, attempt.generation, nothing_known(self.models), None, {})
+                result = WorkResult(attempt.arm.insertion_id, attempt.generation, nothing_known(self.models), None, {})
                 self._hear(self.session.on_result(result, now_ns))
 
     def _skip_networks(self, work: Work) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from reporting.files import write_durably
 from robot_client.insertion.state import State
 from service.decision.attempt import Attempt
+from service.session.attempt_arrays import read_by_depth
 from simulation.closed_loop.client import trip_s
 from simulation.closed_loop.job import Job, Outcome
 from simulation.closed_loop.play import models_of, stage
@@ -63,7 +64,7 @@ def _plain(job: Mapping[str, Any]) -> Row:
 def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row) -> None:
     episode.folder.mkdir(parents=True, exist_ok=True)
     for number, attempt in enumerate(attempts, 1):  # those of each grasp are numbered from 1
-        kept = attempt.read_by_depth()
+        kept = read_by_depth(attempt)
         if "steps" in kept:
             np.savez(episode.folder / f"attempt_{number:02d}.npz", **kept)  # type: ignore[arg-type]
     summary = {

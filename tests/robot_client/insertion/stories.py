@@ -41,7 +41,7 @@ def watching(attempt, captured_s, insertion_id=ID):
     )
 
 
-def slip(attempt, insertion_id=ID):
+def slip(attempt, insertion_id=ID, pressed_mm=0.4):
     return wire.Slip(
         insertion_id=insertion_id,
         attempt=attempt,
@@ -51,6 +51,7 @@ def slip(attempt, insertion_id=ID):
         age_ms=4.0,
         score=8.0,
         reason="r",
+        pressed_mm=pressed_mm,
     )
 
 

@@ -80,9 +80,13 @@ def test_a_lease_that_ended_too_long_ago_is_not_renewed_by_a_fresh_frame(pause_s
 def test_a_frame_that_is_judged_within_the_pause_renews_the_lease():
     state, _ = descending(PAUSE_S)
     late_s = LASTS_S + 0.1
-    state, (renewed,) = step(state, service(watching(1, late_s - 0.02), late_s))
+    state, (renewed, paused) = step(state, service(watching(1, late_s - 0.02), late_s))
     assert state.phase is Phase.DESCENDING
     assert renewed.until_s > late_s
+    assert (paused.message.type, paused.message.speed_mm_s) == ("descending", state.speed_mm_s)
+    assert paused.message.paused_s == pytest.approx(0.1)
+    _, (renewed,) = step(state, service(watching(1, late_s), late_s + 0.01))
+    assert isinstance(renewed, Renew), "without a pause there is nothing to say"
 
 
 def test_nothing_descends_before_the_clocks_are_mapped_or_on_an_old_reference():

@@ -204,13 +204,17 @@ def test_no_decision_probes_the_same_spot_again_but_not_for_ever():
     assert state.phase is Phase.FAILED
 
 
-def _second_descent(allowance_mm, first_mm, second_mm):
-    """State and descent target of the third attempt, two blocked ones before it, and the depths those stopped at."""
+def _second_descent(allowance_mm, first_mm, second_mm, *, pressed_mm=0.4):
+    """State and descent target of the third attempt, two blocked ones before it, and the depths those stopped at.
+
+    ``pressed_mm``: of the first one; None: it stopped in the air.
+    """
     state = State(PLAN.model_copy(update={"creep_allowance_mm": allowance_mm}))
     state, _ = run(TO_ARMING, state)
     for attempt, depth_mm in ((1, first_mm), (2, second_mm)):
         blocked = at(APPROACH.at_height(APPROACH.z_mm - depth_mm), Standstill)
-        state, _ = run([service(armed(attempt)), service(slip(attempt)), blocked], state)
+        stopped = slip(attempt, pressed_mm=pressed_mm if attempt == 1 else 0.4)
+        state, _ = run([service(armed(attempt)), service(stopped), blocked], state)
         state, _ = run([service(correction(attempt, 0.0, 0.0)), at(APPROACH), at(APPROACH)], state)
     return run([service(armed(3))], state)
 
@@ -221,6 +225,11 @@ def _second_descent(allowance_mm, first_mm, second_mm):
 def test_a_part_pushed_up_in_the_hand_is_brought_as_much_deeper_as_is_allowed(allowance_mm, second_mm, bottom_mm):
     _, commands = _second_descent(allowance_mm, 6.5, second_mm)
     assert commands[-1].target == APPROACH.at_height(APPROACH.z_mm - bottom_mm)
+
+
+def test_where_an_attempt_stopped_in_the_air_no_object_was_pushed_up():
+    state, _ = _second_descent(4.0, 0.4, 6.5, pressed_mm=None)
+    assert state.creep_mm == 0.0
 
 
 @pytest.mark.parametrize(("allowance_mm", "says"), [(0.0, "may be 2.5 mm HIGHER"), (4.0, "went 2.5 mm deeper")])

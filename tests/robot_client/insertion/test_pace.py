@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -9,10 +10,10 @@ from hypothesis import strategies as st
 
 from robot_client.insertion.events import Move, Send, Standstill, Tick
 from robot_client.insertion.lease import PAUSE_S
-from robot_client.insertion.limits import Limits
+from robot_client.insertion.limits import LimitError, Limits
 from robot_client.insertion.machine import Phase, State, step
 from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramp, Ramps
-from robot_client.insertion.pace import Pace
+from robot_client.insertion.pace import Pace, Tops
 from robot_client.insertion.profile import plan_legs
 from service.contract import wire
 from tests.robot_client.insertion.stories import (
@@ -205,3 +206,27 @@ def test_after_any_stop_the_arm_goes_up_at_least_by_the_lift_and_never_above_the
     _, commands = blocked(FAST, TOPS_MM + off_mm)
     up_mm = commands[-1].target.z_mm
     assert min(APPROACH.z_mm, TOPS_MM + off_mm + 4.0) <= up_mm <= APPROACH.z_mm
+
+
+@pytest.mark.parametrize("off_mm", [-0.03, 0.0, 0.03])
+def test_no_leg_is_so_short_that_it_might_lead_up_from_where_the_arm_settled(off_mm):
+    """The arm was raised to the height at which the slow leg begins; it stands a hair above or below."""
+    pace = Pace(fast_mm_s=10.0, lift_mm=2.0)
+    start = APPROACH.at_height(TOPS_MM + pace.above_mm)
+    legs = pace.legs(start.z_mm + off_mm, APPROACH.z_mm - 25.0, 4.0, Tops(TOPS_MM, TOPS_MM))
+    assert [speed for _, speed in legs] == [4.0, 10.0]
+    MotionGuide(FAST.limits, FAST.ramps, start).move(start.at_height(APPROACH.z_mm - 25.0), "descend", 1.0, legs)
+
+
+def test_legs_that_lead_up_are_refused():
+    start = APPROACH.at_height(TOPS_MM)
+    legs = ((TOPS_MM + 0.1, 4.0), (TOPS_MM - 5.0, 10.0))
+    with pytest.raises(LimitError, match="expected each one to lead down"):
+        MotionGuide(FAST.limits, FAST.ramps, start).move(start.at_height(TOPS_MM - 5.0), "descend", 1.0, legs)
+
+
+def test_after_a_regrasp_the_arm_is_slow_where_the_tops_were_met():
+    met = Tops(TOPS_MM, TOPS_MM + 3.0)
+    state = State(FAST.model_copy(update={"fixture": True}), attempt=2, armed=APPROACH, met=met)
+    again = replace(state, reason="service: refused: turned_in_hand: x").afresh("second")
+    assert State(again).tops == met

@@ -16,6 +16,7 @@ from service.decision.evidence import Evidence, Refusal
 from service.decision.work import correction, decide_again, enough_message, latencies, plan_steps, plan_work
 from service.perception.markers.field import empty_field
 from service.perception.observation import PairObservation
+from service.session.attempt_arrays import arrays_of, read_by_depth
 from tests.service import tiny_models
 from tests.service.decision.test_claim import descent, pair
 
@@ -106,7 +107,7 @@ def test_steps_of_depth_are_read_from_the_onset_to_the_frame_that_stopped_the_ar
         attempt.take_steps(card)
     assert [one.seq for one in attempt.decision_pairs] == [3, 4, 5, 6, 7]
     assert [float(step.flat[0]) for step in attempt.steps] == [3.0, 4.0, 5.0, 6.0, 7.0]
-    kept = attempt.read_by_depth()
+    kept = read_by_depth(attempt)
     assert kept["steps"].shape == (5, 2, 1, 1, 3)
     assert kept["conditions"].tolist()[0] == 56.0
     assert set(kept["conditions"].tolist()[1:]) == {0.0}, "what is not known is kept as nothing"
@@ -116,7 +117,7 @@ def test_what_is_kept_of_a_decision_is_its_pairs_and_the_markers_of_the_last_one
     pairs = [at(4), at(5)]
     moved = replace(pairs[1].left.field, displacement_px=pairs[1].left.field.displacement_px + 2.0)
     pairs[1] = replace(pairs[1], left=replace(pairs[1].left, field=moved))
-    arrays = descent(decision_pairs=pairs, network_reference=at(3)).arrays()
+    arrays = arrays_of(descent(decision_pairs=pairs, network_reference=at(3)))
     assert arrays["frame_seq"].tolist() == [4, 5]
     assert arrays["captured_ns"].tolist() == [4 * PERIOD_NS, 5 * PERIOD_NS]
     assert (arrays["displacement_px"][0] == 2.0).all()
@@ -193,7 +194,7 @@ def test_only_the_last_pair_of_a_decision_brings_its_result() -> None:
     assert first.run() is None
     result = last.run()
     assert isinstance(result, WorkResult)
-    assert (result.attempt, result.generation, result.refusal) == (1, 4, None)
+    assert (result.insertion_id, result.generation, result.refusal) == ("one", 4, None)
     assert result.latency_ms == {"networks_last_step": 2.0}
     assert attempt.fed
     early = descent(decision_pairs=[at(1), at(2)], run=Run())

@@ -23,6 +23,7 @@ from service.decision.work import (
 )
 from service.perception.markers.field import empty_field
 from service.perception.observation import PairObservation
+from service.session.attempt_arrays import arrays_of
 from service.settings import Deadlines
 from tests.service import tiny_models
 from tests.service.decision.test_claim import descent, pair
@@ -40,9 +41,34 @@ def test_a_grid_that_is_not_the_networks_is_refused_as_any_other_stranger(*, ref
     attempt.network_reference = pair if referenced else None
     result = plan_work(models, attempt, pair).run()
     assert result is not None
-    assert (result.attempt, result.generation, result.evidence) == (3, 7, None)
+    assert (result.insertion_id, result.generation, result.evidence) == ("one", 7, None)
     assert result.refusal is not None
     assert result.refusal.reason == "out_of_distribution"
+
+
+def test_the_depth_of_a_press_in_which_the_arm_paused_is_not_known() -> None:
+    """Before the touch a pause does not matter."""
+    models = SimpleNamespace(steps=[SimpleNamespace(card=SimpleNamespace(min_confidence=0.0))])
+    evidence = SimpleNamespace(confidence=1.0)
+    for onset_ns, known in ((10_000_000, False), (60_000_000, True)):
+        attempt = descent(decision_pairs=[pair()], onset_ns=onset_ns)
+        attempt.legs.add(0, 10.0)
+        attempt.descends(wire.Descending(insertion_id="one", attempt=1, speed_mm_s=10.0, paused_s=0.03), 50_000_000)
+        assert attempt.paused_in_press != known
+        if known:
+            check_evidence(models, attempt, evidence)
+        else:
+            with pytest.raises(Refusal, match="the arm paused in the press"):
+                check_evidence(models, attempt, evidence)
+    with pytest.raises(Refusal, match="no pair shows the motion"):
+        check_evidence(models, descent(decision_pairs=[]), evidence)
+
+
+def test_what_moved_before_the_arm_did_is_no_press() -> None:
+    attempt = descent(onset_ns=5, descending_ns=None, fed=True)
+    attempt.ring.append(pair())
+    attempt.descends(wire.Descending(insertion_id="one", attempt=1, speed_mm_s=10.0), 10)
+    assert (attempt.onset_ns, attempt.fed, attempt.descending_ns) == (None, False, 10)
 
 
 def shows(share: float, status: str = "") -> PairObservation:
@@ -146,12 +172,12 @@ def test_nobody_is_told_that_it_is_enough_twice_or_at_rest() -> None:
 
 def test_of_an_attempt_that_nothing_moved_in_its_reference_is_kept() -> None:
     attempt = descent()
-    assert attempt.arrays()["frames"].shape[:2] == (1, 2)
-    assert attempt.arrays()["frame_seq"].tolist() == [0]
-    assert str(attempt.arrays()["decision"]) == "{}"
-    assert descent(reference=None).arrays() == {}
+    assert arrays_of(attempt)["frames"].shape[:2] == (1, 2)
+    assert arrays_of(attempt)["frame_seq"].tolist() == [0]
+    assert str(arrays_of(attempt)["decision"]) == "{}"
+    assert arrays_of(descent(reference=None)) == {}
     moved = [replace(pair(), left=replace(pair().left, seq=seq)) for seq in (4, 5)]
-    assert descent(decision_pairs=moved).arrays()["frames"].shape[:2] == (2, 2)
+    assert arrays_of(descent(decision_pairs=moved))["frames"].shape[:2] == (2, 2)
 
 
 def test_an_attempt_in_which_nothing_was_shown_cannot_be_decided_again() -> None:

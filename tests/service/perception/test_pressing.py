@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from service.contract.model_card import CONDITIONS, Lattice, Pressing, Span
-from service.perception.pressing import DepthSteps, lattice_weights, on_lattice, onset_depth, step_weights
+from service.perception.pressing import DepthSteps, Legs, lattice_weights, on_lattice, onset_depth, step_weights
 
 LATTICE = Lattice(rows=9, columns=9, pitch_mm=1.5)
 SPEC = Pressing(lattice=LATTICE, step_mm=0.15, steps_n=8, trained={})
@@ -18,6 +20,13 @@ def field_at(pressed_mm: float) -> np.ndarray:
     return np.stack([one, one * np.array([-1, 1, 1])]).astype(np.float32)
 
 
+def legs(*parts: tuple[int, float]) -> Legs:
+    legs = Legs()
+    for from_ns, speed_mm_s in parts:
+        legs.add(from_ns, speed_mm_s)
+    return legs
+
+
 def steps(fps: float, speed_mm_s: float, phase: float = 0.3) -> list[np.ndarray]:
     """The steps of a descent that touches 2 mm down, seen at a rate."""
     spacing_mm = speed_mm_s / fps
@@ -25,7 +34,7 @@ def steps(fps: float, speed_mm_s: float, phase: float = 0.3) -> list[np.ndarray]
     stamps = [round(1e9 * depth / speed_mm_s) for depth in depths]
     fields = [field_at(depth - 2.0) for depth in depths]
     first = next(k for k, depth in enumerate(depths) if depth > 2.01)
-    descent = DepthSteps(SPEC, speed_mm_s)
+    descent = DepthSteps(SPEC, legs((0, speed_mm_s)))
     descent.begin(stamps[: first + 1], fields[: first + 1], first)
     complete = descent.fresh()
     for stamp, field in zip(stamps[first + 1 :], fields[first + 1 :], strict=True):
@@ -81,8 +90,38 @@ def test_a_point_without_markers_is_not_seen_and_shows_no_motion() -> None:
     assert not read[np.abs(LATTICE.points_mm.reshape(-1, 2) - rest).max(1) > 1.5].any()
 
 
+STAMP_NS = st.integers(0, 5_000_000_000)
+
+
+@given(st.lists(st.tuples(STAMP_NS, st.floats(1.0, 40.0)), min_size=1, max_size=4), st.lists(STAMP_NS, min_size=3))
+def test_the_way_between_two_stamps_is_that_of_its_parts(parts: list[tuple[int, float]], stamps: list[int]) -> None:
+    arm = legs(*sorted(parts))
+    here, there, between = stamps[:3]
+    whole = arm.travel_mm(here, there)
+    assert whole == pytest.approx(arm.travel_mm(here, between) + arm.travel_mm(between, there), abs=1e-9)
+    assert whole == pytest.approx(-arm.travel_mm(there, here))
+
+
+def test_an_arm_that_slows_or_pauses_goes_less_far() -> None:
+    arm = legs((0, 10.0), (1_000_000_000, 5.0))
+    assert (arm.speed_mm_s(999_999_999), arm.speed_mm_s(1_000_000_000)) == (10.0, 5.0)
+    assert arm.travel_mm(500_000_000, 2_000_000_000) == pytest.approx(5.0 + 5.0)
+    arm.pauses(3_000_000_000, 0.4)
+    assert arm.travel_mm(2_000_000_000, 4_000_000_000) == pytest.approx(0.6 * 5.0 + 5.0)
+
+
+def test_a_speed_that_changes_in_the_press_changes_its_depth() -> None:
+    """At 10 mm/s the object is touched, from 66 ms on the arm goes at 5 mm/s."""
+    stamps = [0, 33_000_000, 66_000_000]
+    arm = legs((0, 10.0), (66_000_000, 5.0))
+    descent = DepthSteps(SPEC, arm)
+    descent.begin(stamps, [field_at(0.0), field_at(0.0), field_at(0.2)], 2)
+    descent.add(99_000_000, field_at(0.365))
+    assert descent.pressed_at_mm(199_000_000) == pytest.approx(descent.pressed_mm + 0.5)
+
+
 def test_a_stamp_that_does_not_advance_adds_nothing() -> None:
-    descent = DepthSteps(SPEC, 10.0)
+    descent = DepthSteps(SPEC, legs((0, 10.0)))
     stamps = [0, 33_000_000, 66_000_000]
     descent.begin(stamps, [field_at(0.0), field_at(0.0), field_at(0.2)], 2)
     assert descent.pressed_at_mm(66_000_000) is None, "two frames in motion show where it began"

@@ -41,7 +41,7 @@ def pair_at(captured_ns: int) -> PairObservation:
 
 def blocked(evidence: Evidence | None = EVIDENCE, refusal: Refusal | None = None, **changes: Any) -> Attempt:
     """An attempt that stopped at `STOPPED_NS`, its networks' answer, and its pairs, the newest 12.5 ms before."""
-    result = WorkResult(1, 1, evidence, refusal, {"networks_last_step": 3.0})
+    result = WorkResult("one", 1, evidence, refusal, {"networks_last_step": 3.0})
     pairs = [pair_at(STOPPED_NS - age_ns) for age_ns in (90 * MS, 50 * MS, 12_500_000)]
     usual = {"outcome": "blocked", "stopped_ns": STOPPED_NS, "result": result, "decision_pairs": pairs}
     return descent(**usual | changes)

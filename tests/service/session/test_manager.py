@@ -268,3 +268,31 @@ def test_what_an_insertion_shows_of_the_cell_goes_into_its_charts_unless_a_perso
     charts = json.loads((tmp_path / "r" / "charts.json").read_text())["charts"]
     assert charts["light"]["learnt"] == {"box": [130.0]}
     assert charts["trials"]["learnt"] == {"box": [2.0]}
+
+
+@pytest.mark.parametrize("opened", [False, True])
+def test_an_object_that_stays_in_the_hand_hangs_as_the_last_insertion_left_it(
+    models: ModelSet, tmp_path: Path, *, opened: bool
+) -> None:
+    """A new insertion does not make it upright; only a hand that was open has grasped it anew."""
+    given = manager(models, tmp_path)
+    client = Client(given)
+    client.connect("pressed")
+    given.receive(wire.Arm(insertion_id="pressed", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), client.send)
+    assert given.active is not None
+    assert given.active.session.attempt is not None
+    given.active.session.attempt.descending_ns = 1
+    given.abort("operator", "a person stops it")
+    client.connect("again")
+    session = given.active.session
+    if opened:
+        session.open_gels.ask(wire.LearnOpen(insertion_id="again"), (), 0)
+        session.open_gels._learnt.update(FINGERS)
+    given.receive(wire.Arm(insertion_id="again", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), client.send)
+    assert session.attempt is not None
+    assert bool(session.attempt.tilt.unknown) != opened
+    given.abort("operator", "a person stops it")
+    assert bool(given.held_over) != opened, "an insertion that did not go down passes it on"
+    wait_for_recorders()
+    kept = [Recording(path).metadata["held_over"] for path in sorted((tmp_path / "r").glob("*/insertion.mcap"))]
+    assert [bool(one) for one in kept] == [False, True], "deciding it again needs it"

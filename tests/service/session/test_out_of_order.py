@@ -116,7 +116,8 @@ def test_who_says_hello_again_changes_nothing(session: InsertionSession) -> None
     assert not session.takes_afresh
 
 
-def test_slip_is_told_once_and_the_same_attempt_is_armed_with_a_new_reference_only(session: InsertionSession) -> None:
+def test_slip_is_told_once_and_an_attempt_that_went_down_is_not_armed_again(session: InsertionSession) -> None:
+    """Who arms it again has not told where the arm stopped: how far that turned the object is not known."""
     arm(session)
     shows(session, 0)
     descends(session)
@@ -127,10 +128,30 @@ def test_slip_is_told_once_and_the_same_attempt_is_armed_with_a_new_reference_on
     assert shows(session, 2) == []
     session.left.sees = still
     assert arm(session, at_ns=S) == [], "what was armed is of another time"
+    (refused,) = shows(session, 0, S)
+    assert (refused.type, refused.reason) == ("refused", "turned_in_hand")
+
+
+def test_an_attempt_that_did_not_go_down_is_armed_again_with_a_new_reference_after_a_slip(
+    session: InsertionSession,
+) -> None:
+    arm(session)
+    shows(session, 0)
+    still, session.left.sees = session.left.sees, replace(session.left.sees)
+    session.left.slips()
+    assert [answer.type for answer in shows(session, 1)] == ["slip"]
+    session.left.sees = still
+    assert arm(session, at_ns=S) == [], "what was armed is of another time"
     (armed,) = shows(session, 0, S)
     assert (armed.type, armed.frame_captured_ns) == ("armed", S)
-    session.left.slips()
-    assert [answer.type for answer in shows(session, 1, S)] == ["slip"]
+
+
+def test_a_late_result_of_another_insertion_is_no_evidence_here(session: InsertionSession) -> None:
+    arm(session)
+    shows(session, 0)
+    assert session.on_result(WorkResult("another", 1, EVIDENCE, None, {}), 0) == []
+    assert session.attempt is not None
+    assert session.attempt.result is None
 
 
 def test_full_depth_is_claimed_by_a_pair_that_is_new_enough_and_by_that_alone(session: InsertionSession) -> None:
@@ -151,7 +172,7 @@ def test_full_depth_is_claimed_by_a_pair_that_is_new_enough_and_by_that_alone(se
 def test_of_two_results_the_first_one_is_kept(session: InsertionSession) -> None:
     arm(session)
     shows(session, 0)
-    results = [WorkResult(1, 1, None, Refusal("low_confidence", str(number)), {}) for number in range(2)]
+    results = [WorkResult(ID, 1, None, Refusal("low_confidence", str(number)), {}) for number in range(2)]
     assert [session.on_result(result, 0) for result in results] == [[], []], "the arm still moves"
     (refused,) = stops(session)
     assert (refused.reason, refused.detail) == ("low_confidence", "0")
@@ -187,7 +208,7 @@ def test_a_correction_is_commanded_once_and_a_refusal_never(session: InsertionSe
     shows(session, 0)
     assert session.attempt is not None
     session.attempt.decision_pairs = [*session.attempt.ring]
-    session.on_result(WorkResult(1, 1, EVIDENCE, None, {}), 0)
+    session.on_result(WorkResult(ID, 1, EVIDENCE, None, {}), 0)
     assert commanded == [], "the arm still moves"
     (correction,) = stops(session)
     assert stops(session) == [correction]

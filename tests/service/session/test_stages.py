@@ -163,8 +163,8 @@ def test_the_first_answer_of_the_networks_counts_and_its_move_is_shown_once(sess
     session.on_command, session.on_attempt = moves.append, ended.append
     armed(session)
     assert session.attempt is not None
-    first: Any = SimpleNamespace(generation=session.attempt.generation, evidence=None, refusal=None, name="first")
-    second: Any = SimpleNamespace(generation=session.attempt.generation, evidence=None, refusal=None, name="second")
+    first: Any = SimpleNamespace(insertion_id=ID, generation=1, evidence=None, refusal=None, name="first")
+    second: Any = SimpleNamespace(insertion_id=ID, generation=1, evidence=None, refusal=None, name="second")
     assert session.on_result(first, 0) == session.on_result(second, 0) == [], "the arm still moves"
     assert session.attempt.result is first
     (answer,) = session.handle(stopped(), 0)

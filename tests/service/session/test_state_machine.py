@@ -5,6 +5,7 @@ import pytest
 
 from service.contract import wire
 from service.decision.models import ModelSet, load_models
+from service.session.attempt_arrays import arrays_of
 from service.session.factory import make_session
 from service.session.state_machine import InsertionSession
 from tests.service import drawn, tiny_models
@@ -72,7 +73,7 @@ def test_the_decision_rests_on_eight_pairs_from_the_onset(session: InsertionSess
     numbers = [pair.seq for pair in attempt.decision_pairs]
     assert numbers == list(range(numbers[0], numbers[0] + 8))
     assert abs(numbers[0] - 10) <= 1
-    arrays = attempt.arrays()
+    arrays = arrays_of(attempt)
     assert arrays["frames"].shape == (8, 2, 320, 327, 3)
     assert arrays["displacement_px"].shape == (2, 20, 21, 2)
     assert (arrays["reference"] == arrays["frames"][0]).all()

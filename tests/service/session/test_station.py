@@ -221,7 +221,7 @@ def test_the_networks_answers_come_back_through_the_perception_thread_where_ther
     monkeypatch.setattr(InsertionManager, "result", lambda _, result: heard.append(result))
     idle._ticked_ns = time.monotonic_ns() + 10**12
     for answer in (None, "evidence"):
-        idle._do(Work(1, lambda answer=answer: answer))  # type: ignore[misc, arg-type]
+        idle._do(Work(lambda answer=answer: answer))  # type: ignore[misc, arg-type]
     assert heard == []
     idle._inbox.put(None)
     idle._run()
