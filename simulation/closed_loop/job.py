@@ -24,8 +24,10 @@ MEASURED = 0.15
 class Job:
     """One insertion to play, or one probe: object, start error, seed, controller, perception, and world.
 
-    ``scene`` is an object by name or path. The start error is the commanded one. It is also the object's, unless the
-    world misplaces the hand.
+    ``scene`` is an object by name or path. ``object_sha256`` are its contents when the job was made: kept rows of the
+    same name and other contents do not count.
+
+    The start error is the commanded one. It is also the object's, unless the world misplaces the hand.
 
     ``condition`` names the world or disturbance; ``changes`` are its dotted keys of the scene, ``unstated`` those of
     its table `[world]`.
@@ -63,6 +65,7 @@ class Job:
     late_s: float | None = None
     client: Mapping[str, Any] = field(default_factory=dict)
     purpose: Literal["insert", "probe"] = "insert"
+    object_sha256: str = ""
 
     def build_scene(self) -> Scene:
         """The object in its world; the blocks are free unless the world fixes them. Raises SceneError."""
@@ -89,7 +92,10 @@ class Job:
 
 
 def job_in(world: World, scene: str, index: int, start: tuple[float, float], seed: int, **more: Any) -> dict[str, Any]:
-    """Fields of a `Job` in a world, as plain data: the belief on true fields, unless ``more`` says otherwise."""
+    """Fields of a `Job` in a world, as plain data: the belief on true fields, unless ``more`` says otherwise.
+
+    Raises SceneError for an object that cannot be read.
+    """
     return {
         "scene": scene,
         "index": index,
@@ -101,6 +107,7 @@ def job_in(world: World, scene: str, index: int, start: tuple[float, float], see
         "condition": world.name,
         "changes": dict(world.changes),
         "unstated": world.unstated.model_dump(mode="json", exclude_defaults=True),
+        "object_sha256": load_scene(scene).sha256,
         **more,
     }
 

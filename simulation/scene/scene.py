@@ -4,6 +4,7 @@
 frame (origin at the gap's centre at the height of the block tops, x across the gap, y along it, z up).
 """
 
+import hashlib
 import zlib
 from collections.abc import Mapping
 from typing import Any, Self
@@ -127,6 +128,11 @@ class Scene(Part):
     def identity_json(self) -> str:
         """Everything about the cell, as one line of JSON: its identity in data sets."""
         return self.model_dump_json(exclude=OF_NO_CELL)
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of `identity_json`."""
+        return hashlib.sha256(self.identity_json().encode()).hexdigest()
 
     @property
     def number(self) -> int:

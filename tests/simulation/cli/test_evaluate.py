@@ -8,6 +8,7 @@ import pytest
 from service.contract.shipped import released_models
 from simulation.cli import evaluate
 from simulation.closed_loop import campaign
+from simulation.closed_loop.job import Job
 from simulation.closed_loop.statistics import Row
 from tests.service import tiny_models
 from tests.simulation.closed_loop.test_evaluation import ROW
@@ -82,6 +83,22 @@ def test_a_sensor_that_the_networks_do_not_read_is_named_before_anything_is_play
     models = tiny_models.write_models(tmp_path / "models")
     with pytest.raises(ValueError, match="world mini, object circle: pictures of the sensor gelsight_mini are 320 x"):
         evaluated([str(tmp_path / "mini.toml")], models, tmp_path / "rows.json", "--objects", "circle")
+
+
+def test_rows_of_an_object_that_was_edited_since_are_played_again(worlds, tmp_path, monkeypatch):
+    played = list[float]()
+
+    def play(task: campaign.Task) -> Row:
+        played.append(Job(**task.job).build_scene().object.mass_kg)
+        return as_wired(task)
+
+    monkeypatch.setattr(campaign, "play", play)
+    models, mine = tiny_models.write_models(tmp_path / "models"), tmp_path / "mine.toml"
+    for mass_kg in (0.1, 0.5, 0.5):
+        shape = '[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 90.0\n'
+        mine.write_text(f"order = 4\n{shape}mass_kg = {mass_kg}\n")
+        evaluated(worlds[:1], models, tmp_path / "rows.json", "--objects", str(mine), "--uncommissioned")
+    assert played == [0.1, 0.1, 0.5, 0.5]
 
 
 @pytest.mark.slow
