@@ -32,7 +32,7 @@ from simulation.scene.scene import Scene
 from simulation.scene.worlds import World
 from simulation.studies.episodes import Episode, play
 from simulation.studies.pace.points import client, with_care
-from simulation.studies.wiring import by_corner, carried_out, named_mistakes, probes, seed_of
+from simulation.studies.wiring import by_corner, carried_out, named_mistakes, probes, seed_of, touched
 
 COUNTED = (
     *("direction_right", "direction_n", "mae_x_mm", "mae_theta_deg", "covered_x", "covered_theta"),
@@ -128,12 +128,8 @@ def commission(cell: Cell, plan: Plan) -> Row:
 
     A cell with a mistake stops there: no version is played, and all its counts are 0.
     """
-    signs: list[Row] = []
-    for number, jobs in enumerate(cell.signs(), 1):
-        signs = _played(cell, plan, f"signs-{number}", jobs, in_order=True)
-        if carried_out(signs):
-            break
-    labelled = [cell.folder / f"signs-{number}" / f"{index:05d}" for index in range(len(signs))]
+    signs, folder = _asked_for_signs(cell, plan)
+    labelled = [folder / f"{index:05d}" for index in range(len(signs))]
     row: Row = {"world": cell.world.name, "mistakes_named": named_mistakes(signs), "signs_told": carried_out(signs)}
     if row["mistakes_named"] or not plan.probes:
         row |= {name: {**dict.fromkeys(COUNTED, 0), **dict.fromkeys(COUNTED[2:7])} for name in VERSIONS}
@@ -158,6 +154,22 @@ def commission(cell: Cell, plan: Plan) -> Row:
         "accepted": outcomes.get("after_150", outcomes["after_50"])["accepted"],
         "verdicts": outcomes,
     }
+
+
+def _asked_for_signs(cell: Cell, plan: Plan) -> tuple[list[Row], Path]:
+    """The wiring check's four probes, and their folder: with the first object that touches something.
+
+    Where none does, those of the first object with which they were carried out, if there is one.
+    """
+    signs, folder = list[Row](), cell.folder
+    for number, jobs in enumerate(cell.signs(), 1):
+        name = f"signs-{number}"
+        rows = _played(cell, plan, name, jobs, in_order=True)
+        if not signs or touched(rows) or not carried_out(signs):
+            signs, folder = rows, cell.folder / name
+        if touched(rows):
+            break
+    return signs, folder
 
 
 def _lessons(cell: Cell, plan: Plan, labelled: Sequence[Path]) -> dict[str, Sequence[Path]]:

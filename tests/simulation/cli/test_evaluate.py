@@ -60,6 +60,7 @@ def test_nothing_is_inserted_in_a_cell_that_is_wired_wrong(worlds, tmp_path, mon
 
     again = evaluated(worlds, models, tmp_path / "blind.json", "--objects", "circle", "--uncommissioned")
     assert again["swapped"]["inserted"] == 2
+    assert {task.job["commissioned"] for task in played[-4:]} == {False}
 
 
 def test_another_object_is_tried_where_the_first_cannot_be_held(worlds, tmp_path, monkeypatch):
@@ -75,6 +76,17 @@ def test_another_object_is_tried_where_the_first_cannot_be_held(worlds, tmp_path
     assert rows["swapped"]["refused"] == 2
     alone = evaluated(worlds, models, tmp_path / "alone.json", "--objects", "rectangle")
     assert not any("contradictory" in reason for reason in alone["swapped"]["reasons"])  # nobody could tell
+
+
+def test_another_object_is_tried_where_the_first_goes_in(worlds, tmp_path, monkeypatch):
+    def play(task: campaign.Task) -> Row:
+        answer = as_wired(task)
+        return {**answer, "trials": []} if task.job["scene"] == "rectangle" else answer
+
+    monkeypatch.setattr(campaign, "play", play)
+    models = tiny_models.write_models(tmp_path / "models")
+    rows = evaluated(worlds, models, tmp_path / "rows.json", "--objects", "rectangle", "circle")
+    assert rows["swapped"]["reasons"] == {f"commissioning: contradictory: {SWAPPED}": 2}
 
 
 def test_a_sensor_that_the_networks_do_not_read_is_named_before_anything_is_played(tmp_path, monkeypatch):

@@ -124,6 +124,11 @@ def test_a_cell_that_measured_its_reach_tells_it_a_little_wrong_and_another_tell
     assert reach_mm == pytest.approx(true_mm, rel=0.6)
 
 
+def test_a_gel_without_friction_has_no_reach_to_send() -> None:
+    job = Job("rectangle", 0, 8.0, 5.0, 1, "belief", "fields", changes={"gel.friction": 0.0}, given_reach=True)
+    assert stage(job, models_of(released_models())).state.plan.shear_reach_mm is None
+
+
 def test_open_gels_are_seen_as_the_cameras_are_wired():
     scene = load_scene("rectangle", camera__noise_grey=0.0)
 
@@ -157,7 +162,8 @@ def test_a_cell_whose_signs_are_known_straightens_what_another_has_to_regrasp() 
     assert ends[True][1] < ends[False][1], "a regrasp takes longer"
 
 
-def test_a_miswired_cell_knows_no_signs() -> None:
-    for unstated, known in (({}, True), ({"mirrored": (True, False)}, False), ({"x_sign": -1}, False)):
-        job = Job("rectangle", 0, 8.0, 6.0, 3, "belief", "fields", unstated=unstated)
+def test_a_miswired_or_uncommissioned_cell_knows_no_signs() -> None:
+    miswired = [({"mirrored": (True, False)}, True, False), ({"x_sign": -1}, True, False)]
+    for unstated, commissioned, known in [({}, True, True), ({}, False, False), *miswired]:
+        job = Job("rectangle", 0, 8.0, 6.0, 3, "belief", "fields", unstated=unstated, commissioned=commissioned)
         assert stage(job, models_of(released_models())).state.plan.signs_known == known
