@@ -108,9 +108,8 @@ def descend(
     late_mm = stop_delay_frames * speed / rate + overtravel_mm
     slip, outcome = _lower(cell, record, speed / rate, phase, late_mm, press_mm)
     stop = len(record.states) - 1
-    still_moves = coasting is not None or cell.relaxes
     while record.onset >= 0 and len(record.states) <= record.onset + DECISION_FRAMES and outcome != "inserted":
-        record.add(cell.wait(1.0 / rate) if still_moves else record.states[-1], record.depth_mm[-1])
+        record.add(cell.wait(1.0 / rate) if cell.relaxes else record.states[-1], record.depth_mm[-1])
     return _keep(record, slip, stop, outcome, x_mm, theta_deg)
 
 

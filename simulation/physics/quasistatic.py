@@ -109,7 +109,7 @@ class QuasiStaticCell:
         start, reach = self.pose.copy(), self._free_share(target)
         if reach > 0.0:
             self.pose = start + reach * (target - start)
-            if self.relaxes:
+            if self._creeps:
                 if self.coasting is not None:
                     self.coasting.velocity[:] = 0.0  # relative to the hand, which has carried it here
                 self._advance(self.pose, duration_s(self.pose - start, self.pace_mm_s))
@@ -138,7 +138,7 @@ class QuasiStaticCell:
         if self.grasp_lost or time_s <= 0.0:
             return self.look()
         ticks = self.coasting.ticks(time_s) if self.coasting is not None else []
-        if self.relaxes and not ticks:
+        if self._creeps and not ticks:
             count = min(MOST_PAUSES, math.ceil(time_s / (PAUSE_SHARE * self.scene.gel.relaxation_s)))
             ticks = [time_s / count] * count
         self.nodes["slipped"][:] = 0.0 if ticks else self.nodes["slipped"]
@@ -148,7 +148,11 @@ class QuasiStaticCell:
 
     @property
     def relaxes(self) -> bool:
-        """Whether the gels creep while the hand stands still."""
+        """Whether the gels creep, or the object coasts, while the hand stands still."""
+        return self._creeps or self.coasting is not None
+
+    @property
+    def _creeps(self) -> bool:
         return self.layer is not None and self.layer.relaxes
 
     def _free_share(self, target: Array) -> float:

@@ -99,6 +99,20 @@ def test_a_descent_stands_once_its_lease_is_over_wherever_that_is_between_two_fr
     assert not held.moving
 
 
+def test_a_heavy_object_settles_while_the_arm_stands() -> None:
+    for mass_kg, least_mm in ((0.1, 0.0), (2.0, 0.003)):
+        stopped = cell(object__mass_kg=mass_kg, grasp__force_n=15.0)
+        stopped.descend(stopped.pose[2] - 6.0)
+        while stopped.moving:
+            stopped.next_pair(look=False)
+        places = [stopped.state.in_hand[0]]
+        for _ in range(8):
+            stopped.next_pair(look=False)
+            places.append(stopped.state.in_hand[0])
+        assert least_mm <= np.ptp(places) <= 2.0 * least_mm
+        assert abs(places[-1] - places[-2]) < 1e-4
+
+
 def test_blocks_above_the_approach_are_run_into_and_not_jumped_into() -> None:
     hit = cell(unstated={"blocks_up_mm": 5.5})
     assert hit.state.in_contact
