@@ -44,6 +44,7 @@ class QuasiStaticCell:
         self.constants = scene_constants(scene, self.active, pad)
         self.nodes = nodes_of(scene, pad)
         self.layer = layer_pads.pads_of(scene, self.active, pad, self.nodes, self.constants)
+        self._creeps = self.layer is not None and self.layer.relaxes
         self.pace_mm_s = scene.speed_mm_s  # speed of the hand, where time matters to the gel
         self.coasting = coasting_of(scene) if self.active.inertia else None
         vertices = len(self.foot)
@@ -150,10 +151,6 @@ class QuasiStaticCell:
     def relaxes(self) -> bool:
         """Whether the gels creep, or the object coasts, while the hand stands still."""
         return self._creeps or self.coasting is not None
-
-    @property
-    def _creeps(self) -> bool:
-        return self.layer is not None and self.layer.relaxes
 
     def _free_share(self, target: Array) -> float:
         """Share of a move in which nothing touches, so that the held object just rides along."""
@@ -299,6 +296,5 @@ class QuasiStaticCell:
         )
 
     def _stretch(self) -> Array:
-        if self.layer is not None:
-            return self.layer.stretch
-        return np.stack([self.nodes["sx"], self.nodes["sz"]], axis=1)
+        bristles = np.stack([self.nodes["sx"], self.nodes["sz"]], axis=1)
+        return bristles if self.layer is None else self.layer.stretch
