@@ -50,6 +50,26 @@ def test_probes_are_drawn_within_what_the_object_may_be_off_and_none_where_it_fi
     assert len(MISTAKES) == 6
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "asked"),
+    [
+        ("in", "touched", "signs-2"),
+        ("not held", "touched", "signs-2"),
+        ("in", "in", "signs-1"),
+        ("in", "not held", "signs-1"),
+        ("not held", "in", "signs-2"),
+    ],
+)
+def test_the_signs_are_those_of_the_first_object_that_touches_something(tmp_path, monkeypatch, first, second, asked):
+    row = {"in": {"reason": "", "trials": []}, "not held": {"reason": "service: refused", "trials": []}}
+    row["touched"] = {"reason": "", "trials": [{}]}
+    ends = {"signs-1": first, "signs-2": second}
+    monkeypatch.setattr(commissioning, "_played", lambda _cell, _plan, name, jobs, **_: [row[ends[name]]] * len(jobs))
+    cell = Cell(World(), load_objects(OBJECTS), tmp_path, 1)
+    signs, folder = commissioning._asked_for_signs(cell, Plan(tmp_path, tmp_path, 0, 1))
+    assert (signs, folder) == ([row[ends[asked]]] * 4, tmp_path / asked)
+
+
 def test_the_page_bears_a_run_that_only_asked_for_signs():
     named = {"good": [], "good, x reversed": ["corrections in x reach the arm reversed"]}
     rows = [
