@@ -23,7 +23,7 @@ from service.contract import Calibration, ContractError, ModelCard
 from service.contract.model_card import UNTRAINED, Role
 from service.contract.self_test import CONDITIONS, make_self_test
 from training.data.labels import CLASSES, THRESHOLD_THETA_DEG, THRESHOLD_X_MM
-from training.fit.checkpoint import Checkpoint
+from training.fit.checkpoint import OWN, Checkpoint
 from training.networks.density import GRID_THETA_DEG, GRID_X_MM
 from training.networks.forms import SequenceForm, StepForm
 from training.networks.preprocessing import CHANNELS, selector
@@ -70,8 +70,11 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
 
 
 def why_untrained(checkpoint: Checkpoint) -> str:
-    """Why a checkpoint's directions are no better than guessing on its own validation; empty for a trained one."""
-    figures = checkpoint.figures.get("validation/all", {})
+    """Why a checkpoint's directions are no better than guessing on its validation; empty for a trained one.
+
+    One that was adapted is as good as its release: few samples of one cell cannot tell it from a guess.
+    """
+    figures = checkpoint.as_trained
     if not {"accuracy", "chance", "trials"} <= figures.keys():
         return "its directions were never validated"
     accuracy, chance, trials_n = figures["accuracy"], figures["chance"], figures["trials"]
@@ -118,7 +121,7 @@ def make_card(checkpoint: Checkpoint, role: Role, form: Form, network: Any) -> M
         training_data_sha256=checkpoint.training_data_sha256,
         git_commit=checkpoint.git_commit,
         training_run=checkpoint.run | ({UNTRAINED: why} if why else {}),
-        validation=checkpoint.figures.get("joint/validation/all" if joint else "validation/all", {}),
+        validation=checkpoint.figures.get(f"joint/{OWN}" if joint else OWN, {}),
         verified_on_cpu=cpu_name(),
     )
 

@@ -8,6 +8,11 @@ REMEDIES: tuple[tuple[str, str], ...] = (
     (r"load \d", "Stop what else runs on this PC; frames come late on a busy one."),
     (r"GB free", "Remove old recordings, or name another folder."),
     (r"recordings may not", "Give the folder to the user of the service."),
+    (
+        r"no record of a commissioning|not as it was written",
+        "It is of another version, or damaged: move it away and commission again, `commission --live`.",
+    ),
+    (r"not commissioned to the end", "Run `tactile-insertion commission --live` with the same --out to its end."),
     (r"cannot read configuration", "Name an existing file with --config."),
     (r"is not used|unknown|expected a number|extra", "Correct that key in the configuration."),
     (r"allowed .*\.\.|ramps\.|allowed up to|limits allow", "Correct the pose, the ramp or the limit of that name."),

@@ -42,7 +42,8 @@ def _trained(card: ModelCard) -> str:
     """The figures, or why the network is not to be trusted."""
     if why := card.training_run.get(UNTRAINED):
         return f"UNTRAINED: {why}"
-    return ", ".join(f"{name} {value:.3g}" for name, value in card.validation.items()) + " (simulated)"
+    figures = ", ".join(f"{name} {value:.3g}" for name, value in card.validation.items()) or "no figures"
+    return f"{figures} ({'recordings of its cell' if card.training_run.get('adapted') else 'simulated'})"
 
 
 def describe(model: LoadedModel, *, decides: bool) -> list[str]:

@@ -14,7 +14,7 @@ from reporting.files import write_durably
 from service.contract import ContractError, Sensor
 from service.contract.toml import read_toml
 from simulation.data import drawn_cells, lerobot
-from simulation.data.collect import Plan, make_shard, scene_of, scene_sha256, shard_of
+from simulation.data.collect import Plan, make_shard, scene_of, shard_of
 from simulation.data.dataset import Dataset, DatasetWriter, slice_of
 from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, read_manifest
 from simulation.data.parallel import results
@@ -85,7 +85,7 @@ def asked_manifest(options: CollectOptions) -> Manifest:
         trials_per_object=options.trials_per_object,
         trials_per_shard=per_shard,
         held_out_share=options.held_out_share,
-        scenes={name: scene_sha256(scene) for name, scene in scenes.items()},
+        scenes={name: scene.sha256 for name, scene in scenes.items()},
         sensor=sensors.pop(),
         physics=sources_sha256("simulation.data.probe"),
     )

@@ -16,7 +16,7 @@ from simulation.closed_loop.job import Job, Outcome, Perception, Who
 from simulation.closed_loop.statistics import Row
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import World, files_in, known_object, load_objects, load_world, object_names
-from simulation.studies.wiring import by_corner, carried_out, named_wirings, probes
+from simulation.studies.wiring import by_corner, named_wirings, probes, touched
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Options(Played):
     given_reach: bool = False
     """the client sends the gel's shear reach, with the error (15 %) of a cell that has measured it"""
     uncommissioned: bool = False
-    """insert without the four probes, as `insert --live --uncommissioned` does"""
+    """insert without the four probes and what they show, as `insert --live --uncommissioned` does"""
     json: Path = Path("runs/evaluation.json")
     """file for the rows"""
 
@@ -129,7 +129,7 @@ def _what(options: Options) -> tuple[list[World], dict[str, Scene]]:
 def _how(options: Options) -> dict[str, Any]:
     """Fields of `Job` that all insertions share."""
     asked: dict[str, Any] = {"controller": options.controller, "perception": options.perception}
-    asked["given_reach"] = options.given_reach
+    asked |= {"given_reach": options.given_reach, "commissioned": not options.uncommissioned}
     if options.cell == "foreign":
         asked["cell"] = "foreign"
     return asked
@@ -146,7 +146,7 @@ def _played(options: Options, todo: Sequence[Task]) -> list[Row]:
 
 
 def _miswired(options: Options, made_by: str, log: Path) -> dict[str, str]:
-    """Mistake of each world that has one, found with the first object with which all four probes were carried out."""
+    """Mistake of each world that has one, found with the first object whose four probes touched something."""
     worlds, objects = _what(options)
     named, left = dict[str, str](), list(worlds)
     for name in by_corner(objects):
@@ -159,7 +159,7 @@ def _miswired(options: Options, made_by: str, log: Path) -> dict[str, str]:
             for world, four in zip(left, answers, strict=True)
             if (causes := named_wirings(four))
         }
-        left = [world for world, four in zip(left, answers, strict=True) if not carried_out(four)]
+        left = [world for world, four in zip(left, answers, strict=True) if not touched(four)]
         if not left:
             break
     return named

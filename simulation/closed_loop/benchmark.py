@@ -84,8 +84,8 @@ def _holds(interval: Sequence[float] | None, truth: float) -> bool:
 
 
 def _cause(reason: str) -> str:
-    """Who ended it and why, without details; for a miswired cell also the mistake."""
-    if "contradictory" in reason:
+    """Who ended it and why, without details; whole for a miswired cell, and for a plan that is never allowed."""
+    if "contradictory" in reason or reason.startswith("limits: plan: "):
         return reason
     parts = reason.split(": ")
     return ": ".join(parts[: 3 if "refused" in parts else 2])

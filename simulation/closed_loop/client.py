@@ -30,14 +30,14 @@ def longest_travel_mm(speed_mm_s: float) -> float:
 def staged(job: Job) -> tuple[Scene, Settings | None]:
     """The scene, at the speed at which the client probes; and the client's settings if the job has any.
 
-    Without settings, the scene defines how the arm moves, no faster than a known lateness allows. Raises SettingsError.
+    Without settings, the scene defines how the arm moves, no faster than the cameras' rate and a known lateness allow.
+    Raises SettingsError.
     """
     scene, client = job.build_scene(), load_settings(None, dict(job.client)) if job.client else None
     if client:
         speed_mm_s = client.ramps.descend.speed_mm_s
     else:
-        allowed_mm_s = PROBING_MM_S if job.late_s is None else Lease().late_by(job.late_s).fastest_mm_s(scene.fps)
-        speed_mm_s = min(scene.speed_mm_s, PROBING_MM_S, allowed_mm_s)
+        speed_mm_s = min(scene.speed_mm_s, PROBING_MM_S, Lease().late_by(job.late_s).fastest_mm_s(scene.fps))
     return scene.varied({"speed_mm_s": speed_mm_s}), client
 
 

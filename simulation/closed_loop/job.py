@@ -24,13 +24,16 @@ MEASURED = 0.15
 class Job:
     """One insertion to play, or one probe: object, start error, seed, controller, perception, and world.
 
-    ``scene`` is an object by name or path. The start error is the commanded one. It is also the object's, unless the
-    world misplaces the hand.
+    ``scene`` is an object by name or path. ``object_sha256`` are its contents when the job was made: kept rows of the
+    same name and other contents do not count.
+
+    The start error is the commanded one. It is also the object's, unless the world misplaces the hand.
 
     ``condition`` names the world or disturbance; ``changes`` are its dotted keys of the scene, ``unstated`` those of
     its table `[world]`.
 
     ``given_reach``: the client also sends the gel's shear reach, with the error of a cell that has measured it.
+    ``commissioned``: the wiring check has shown which way each finger sees a turn, where nothing is wired wrong.
     ``late_s``: the lateness of pictures and arm that its commissioning has measured; None: none.
 
     ``controller``: one of the service's, or the oracle, which moves by the true error: its remaining cost is the first
@@ -60,20 +63,24 @@ class Job:
     cell: Literal["", "foreign"] = ""
     fault: Mapping[str, Any] = field(default_factory=dict)
     given_reach: bool = False
+    commissioned: bool = True
     late_s: float | None = None
     client: Mapping[str, Any] = field(default_factory=dict)
     purpose: Literal["insert", "probe"] = "insert"
+    object_sha256: str = ""
 
     def build_scene(self) -> Scene:
-        """The object in its world; the blocks are free unless the world fixes them. Raises SceneError."""
-        return load_scene(self.scene, blocks__free=True).varied(self.changes)
+        """The object in its world; the blocks are free unless its file or the world fixes them. Raises SceneError."""
+        scene = load_scene(self.scene)
+        free = {} if "free" in scene.blocks.model_fields_set else {"blocks.free": True}
+        return scene.varied({**free, **self.changes})
 
     def measured_reach_mm(self, scene: Scene) -> float | None:
-        """The gel's shear reach as the client sends it, mm; None if it was not measured."""
+        """The gel's shear reach as the client sends it, mm; None if it was not measured, or cannot be."""
         if not self.given_reach:
             return None
         factor = math.exp(MEASURED * float(np.random.default_rng((self.seed, 2)).normal()))
-        return factor * shear_reach_pitches(scene) * scene.sensor.marker_pitch_mm
+        return factor * shear_reach_pitches(scene) * scene.sensor.marker_pitch_mm or None  # 0: a gel without friction
 
     def mechanics(self) -> Callable[[Scene, int], Cell]:
         """Constructor of the cell's mechanics from a scene and a seed."""
@@ -89,7 +96,10 @@ class Job:
 
 
 def job_in(world: World, scene: str, index: int, start: tuple[float, float], seed: int, **more: Any) -> dict[str, Any]:
-    """Fields of a `Job` in a world, as plain data: the belief on true fields, unless ``more`` says otherwise."""
+    """Fields of a `Job` in a world, as plain data: the belief on true fields, unless ``more`` says otherwise.
+
+    Raises SceneError for an object that cannot be read.
+    """
     return {
         "scene": scene,
         "index": index,
@@ -101,6 +111,7 @@ def job_in(world: World, scene: str, index: int, start: tuple[float, float], see
         "condition": world.name,
         "changes": dict(world.changes),
         "unstated": world.unstated.model_dump(mode="json", exclude_defaults=True),
+        "object_sha256": load_scene(scene).sha256,
         **more,
     }
 

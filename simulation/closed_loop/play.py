@@ -267,7 +267,9 @@ def stage(job: Job, models: ModelSet) -> Insertion:
         client=client,
     )
     plan = insertion.state.plan
-    insertion.state = State(plan.model_copy(update={"purpose": job.purpose, "lease": plan.lease.late_by(job.late_s)}))
+    known = {"purpose": job.purpose, "lease": plan.lease.late_by(job.late_s)}
+    signs_known = plan.signs_known and job.commissioned
+    insertion.state = State(plan.model_copy(update={**known, "signs_known": signs_known}))
     return insertion
 
 

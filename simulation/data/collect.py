@@ -88,11 +88,6 @@ def scene_of(name: str, sensor: Sensor | None) -> Scene:
     return load_scene(name, **({"camera__sensor": sensor} if sensor else {}))
 
 
-def scene_sha256(scene: Scene) -> str:
-    """SHA-256 of the scene's full contents."""
-    return hashlib.sha256(scene.identity_json().encode()).hexdigest()
-
-
 def draw_fixture(base: Scene, plan: Plan, number: int) -> tuple[Fixture, np.random.Generator]:
     """Re-fixture ``number`` of a shard and the random stream of its pokes."""
     group = plan.group_id(number)
@@ -196,7 +191,7 @@ def trial_of(fixture: Fixture, poke: int, seed: int, probe: Probe, object_name: 
         group=fixture.group,
         poke=poke,
         seed=seed,
-        scene_sha256=scene_sha256(fixture.scene),
+        scene_sha256=fixture.scene.sha256,
         onset_frame=probe.onset_frame,
         true_slip_frame=probe.true_slip_frame,
         stop_frame=probe.stop_frame,

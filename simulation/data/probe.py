@@ -12,7 +12,6 @@ from simulation.scene.scene import Scene
 from simulation.scene.state import Cell, CellState
 
 Outcome = Literal["blocked", "inserted", "grasp_lost"]
-INSERTION_DEPTH_MM = 25.0
 ONSET_MM = 0.02  # marker motion, about 0.3 px, that counts as motion of the object
 FRAMES, DECISION_FRAMES = 30, 8  # frames kept of a descent, and those of them behind a decision
 
@@ -109,9 +108,8 @@ def descend(
     late_mm = stop_delay_frames * speed / rate + overtravel_mm
     slip, outcome = _lower(cell, record, speed / rate, phase, late_mm, press_mm)
     stop = len(record.states) - 1
-    still_moves = coasting is not None or cell.relaxes
     while record.onset >= 0 and len(record.states) <= record.onset + DECISION_FRAMES and outcome != "inserted":
-        record.add(cell.wait(1.0 / rate) if still_moves else record.states[-1], record.depth_mm[-1])
+        record.add(cell.wait(1.0 / rate) if cell.relaxes else record.states[-1], record.depth_mm[-1])
     return _keep(record, slip, stop, outcome, x_mm, theta_deg)
 
 
@@ -124,11 +122,11 @@ def _lower(
     press_mm: float | None,
 ) -> tuple[int, Outcome]:
     """Descend by pitch_mm per frame until something ends it; returns the slipping frame (-1: none) and the end."""
-    start, limits = cell.pose.copy(), cell.scene.numerics
+    start, limits, full_mm = cell.pose.copy(), cell.scene.numerics, cell.scene.full_depth_mm
     slip, stop_depth = -1, math.inf
     depth = -pitch_mm * (1.0 - phase)
     while True:
-        depth = min(depth + pitch_mm, INSERTION_DEPTH_MM, stop_depth)
+        depth = min(depth + pitch_mm, full_mm, stop_depth)
         state = cell.move_to(start[0], start[1], start[2] - max(depth, 0.0), math.degrees(start[3]))
         index = record.add(state, max(depth, 0.0))
         if state.grasp_lost:
@@ -136,14 +134,14 @@ def _lower(
         slips = float(state.slipping_share.max()) >= limits.slip_share
         overloaded = state.wrench_n_nmm[2] > cell.scene.grasp.force_limit_n
         if press_mm is not None and index == record.onset:
-            stop_depth = min(INSERTION_DEPTH_MM, depth + press_mm)
+            stop_depth = min(full_mm, depth + press_mm)
         if slip < 0 and (slips or overloaded):
             slip = index
             if press_mm is None:
-                stop_depth = min(INSERTION_DEPTH_MM, depth + late_mm)
+                stop_depth = min(full_mm, depth + late_mm)
         if press_mm is not None and overloaded:
             stop_depth = depth
-        if depth >= INSERTION_DEPTH_MM:
+        if depth >= full_mm:
             return slip, "inserted" if state.inserted else "blocked"
         if depth >= stop_depth:
             return slip, "blocked"

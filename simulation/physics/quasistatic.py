@@ -44,6 +44,7 @@ class QuasiStaticCell:
         self.constants = scene_constants(scene, self.active, pad)
         self.nodes = nodes_of(scene, pad)
         self.layer = layer_pads.pads_of(scene, self.active, pad, self.nodes, self.constants)
+        self._creeps = self.layer is not None and self.layer.relaxes
         self.pace_mm_s = scene.speed_mm_s  # speed of the hand, where time matters to the gel
         self.coasting = coasting_of(scene) if self.active.inertia else None
         vertices = len(self.foot)
@@ -109,7 +110,7 @@ class QuasiStaticCell:
         start, reach = self.pose.copy(), self._free_share(target)
         if reach > 0.0:
             self.pose = start + reach * (target - start)
-            if self.relaxes:
+            if self._creeps:
                 if self.coasting is not None:
                     self.coasting.velocity[:] = 0.0  # relative to the hand, which has carried it here
                 self._advance(self.pose, duration_s(self.pose - start, self.pace_mm_s))
@@ -138,7 +139,7 @@ class QuasiStaticCell:
         if self.grasp_lost or time_s <= 0.0:
             return self.look()
         ticks = self.coasting.ticks(time_s) if self.coasting is not None else []
-        if self.relaxes and not ticks:
+        if self._creeps and not ticks:
             count = min(MOST_PAUSES, math.ceil(time_s / (PAUSE_SHARE * self.scene.gel.relaxation_s)))
             ticks = [time_s / count] * count
         self.nodes["slipped"][:] = 0.0 if ticks else self.nodes["slipped"]
@@ -148,8 +149,8 @@ class QuasiStaticCell:
 
     @property
     def relaxes(self) -> bool:
-        """Whether the gels creep while the hand stands still."""
-        return self.layer is not None and self.layer.relaxes
+        """Whether the gels creep, or the object coasts, while the hand stands still."""
+        return self._creeps or self.coasting is not None
 
     def _free_share(self, target: Array) -> float:
         """Share of a move in which nothing touches, so that the held object just rides along."""
@@ -295,6 +296,5 @@ class QuasiStaticCell:
         )
 
     def _stretch(self) -> Array:
-        if self.layer is not None:
-            return self.layer.stretch
-        return np.stack([self.nodes["sx"], self.nodes["sz"]], axis=1)
+        bristles = np.stack([self.nodes["sx"], self.nodes["sz"]], axis=1)
+        return bristles if self.layer is None else self.layer.stretch

@@ -12,6 +12,7 @@ from simulation.scene import shapes
 
 Switch = Literal["auto", "on", "off"]
 Margin = Annotated[float, Field(ge=0.0, le=1000.0)]
+HELD = ("held_size_x_mm", "held_size_y_mm", "held_corner_radius_mm")
 
 
 class Part(BaseModel):
@@ -24,7 +25,9 @@ class HeldObject(Part):
     """The object: footprint at its flat bottom, section where it is held (the same unless given), weight.
 
     A polygon states its convex bottom by vertices_mm, counter-clockwise; its sizes follow from them and
-    corner_radius_mm. The texture's period and gain (contrast of its relief, 0..1) follow from its name unless given.
+    corner_radius_mm. A hexagon has two corners on x. It is regular where both sizes are equal; else they are its
+    extents. Held sizes without held_shape are those of the same shape. The texture's period and gain (contrast of its
+    relief, 0..1) follow from its name unless given.
     """
 
     shape: shapes.Outline
@@ -57,6 +60,17 @@ class HeldObject(Part):
             return data
         return data | {"size_x_mm": float(x), "size_y_mm": float(y)}
 
+    @model_validator(mode="before")
+    @classmethod
+    def _held_in_the_same_shape(cls, data: Any) -> Any:
+        """Held sizes without a held shape are those of the object's own, with its corner radius."""
+        if not isinstance(data, dict) or data.get("held_shape") or data.get("shape") == "polygon":
+            return data
+        if not any(data.get(name) for name in HELD):
+            return data
+        radius_mm = data.get("held_corner_radius_mm") or data.get("corner_radius_mm", 0.0)
+        return data | {"held_shape": data.get("shape"), "held_corner_radius_mm": radius_mm}
+
     @property
     def footprint_mm(self) -> NDArray[np.float64]:
         """Bottom polygon [n, 2], mm, object frame."""
@@ -71,9 +85,7 @@ class HeldObject(Part):
             return np.array([shapes.crest_mm(section), 0.5 * float(np.ptp(section[:, 0])), 1.0, 1.0, 0.0])
         if self.held_shape is None:
             return shapes.held_profile(self.shape, self.size_x_mm, self.size_y_mm, self.corner_radius_mm)
-        size_x = self.held_size_x_mm or self.size_x_mm
-        size_y = self.held_size_y_mm or self.size_y_mm
-        return shapes.held_profile(self.held_shape, size_x, size_y, self.held_corner_radius_mm)
+        return shapes.held_profile(self.held_shape, *self.held_sizes_mm, self.held_corner_radius_mm)
 
     @property
     def held_faces(self) -> NDArray[np.float64] | None:
@@ -85,11 +97,17 @@ class HeldObject(Part):
     def _held_polygon(self) -> NDArray[np.float64] | None:
         """The held section [n, 2], mm, where edges define it."""
         if self.held_shape is not None:
-            width_mm = self.held_size_x_mm or self.size_x_mm
-            return shapes.held_polygon(self.held_shape, width_mm, self.held_corner_radius_mm)
+            return shapes.held_polygon(self.held_shape, *self.held_sizes_mm, self.held_corner_radius_mm)
         if self.vertices_mm:
             return shapes.rounded(self.vertices_mm, self.corner_radius_mm)
-        return shapes.held_polygon(self.shape, self.size_x_mm, self.corner_radius_mm)
+        return shapes.held_polygon(self.shape, self.size_x_mm, self.size_y_mm, self.corner_radius_mm)
+
+    @property
+    def held_sizes_mm(self) -> tuple[float, float]:
+        """Sizes of the held section across the gap and along it, mm; a hexagon under another shape is regular."""
+        x_mm = self.held_size_x_mm or self.size_x_mm
+        regular = self.held_shape == "hexagon" != self.shape
+        return x_mm, self.held_size_y_mm or (x_mm if regular else self.size_y_mm)
 
 
 class Blocks(Part):

@@ -51,7 +51,7 @@ def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False
     if body.vertices_mm:
         scales = size_x / body.size_x_mm, size_y / body.size_y_mm
         changes["object.vertices_mm"] = [(x * scales[0], y * scales[1]) for x, y in body.vertices_mm]
-    if body.shape == "hexagon" or (body.shape == "ellipse" and body.size_x_mm == body.size_y_mm):
+    if body.shape in {"hexagon", "ellipse"} and body.size_x_mm == body.size_y_mm:
         changes["object.size_y_mm"] = size_x  # regular and round objects stay so
     return scene.varied(changes)
 

@@ -4,6 +4,7 @@
 frame (origin at the gap's centre at the height of the block tops, x across the gap, y along it, z up).
 """
 
+import hashlib
 import zlib
 from collections.abc import Mapping
 from typing import Any, Self
@@ -13,7 +14,7 @@ from pydantic import Field, ValidationError, model_validator
 from service.contract import Sensor
 from service.contract.refusals import describe
 from simulation.scene import shapes
-from simulation.scene.parts import Blocks, Camera, Effects, Figures, Gel, Grasp, HeldObject, Numerics, Part
+from simulation.scene.parts import HELD, Blocks, Camera, Effects, Figures, Gel, Grasp, HeldObject, Numerics, Part
 
 APPROACH_MM = 5.0  # start of a descent above the block tops
 TOPS_LEVEL_MM = 0.2  # as a client knows the blocks, which are level
@@ -51,6 +52,9 @@ class Scene(Part):
     def _polygon_can_exist(self) -> Self:
         if (self.object.shape == "polygon") != (self.object.vertices_mm is not None):
             raise ValueError("object.vertices_mm: expected with shape = 'polygon', and with no other shape")
+        held = [name for name in HELD if getattr(self.object, name)]
+        if held and self.object.held_shape is None:
+            raise ValueError(f"object.{held[0]}: expected with held_shape, as a polygon is held by its own edges")
         corners = self.object.vertices_mm
         if corners and not shapes.is_convex(corners):
             raise ValueError("object.vertices_mm: expected corners of a convex polygon, counter-clockwise")
@@ -62,19 +66,16 @@ class Scene(Part):
     def _corners_can_exist(self) -> Self:
         body = self.object
         sections = (
-            ("corner_radius_mm", body.shape, body.corner_radius_mm, body.size_x_mm),
-            (
-                "held_corner_radius_mm",
-                body.held_shape,
-                body.held_corner_radius_mm,
-                body.held_size_x_mm or body.size_x_mm,
-            ),
+            ("corner_radius_mm", body.shape, body.corner_radius_mm, (body.size_x_mm, body.size_y_mm)),
+            ("held_corner_radius_mm", body.held_shape, body.held_corner_radius_mm, body.held_sizes_mm),
         )
-        for name, shape, radius_mm, width_mm in sections:
+        for name, shape, radius_mm, sizes_mm in sections:
             if shape == "ellipse" and radius_mm > 0.0:
                 raise ValueError(f"object.{name}: an ellipse has none")
-            if shape == "hexagon" and radius_mm >= 0.43 * width_mm:
-                raise ValueError(f"object.{name}: must be below {0.43 * width_mm:g}, where a hexagon is a circle")
+            if shape == "hexagon" and radius_mm >= (most_mm := 0.43 * sizes_mm[0]):
+                raise ValueError(f"object.{name}: must be below {most_mm:g}, where a hexagon is a circle")
+            if shape == "hexagon":
+                shapes.held_polygon(shape, *sizes_mm, radius_mm)
         return self
 
     @model_validator(mode="after")
@@ -127,6 +128,11 @@ class Scene(Part):
     def identity_json(self) -> str:
         """Everything about the cell, as one line of JSON: its identity in data sets."""
         return self.model_dump_json(exclude=OF_NO_CELL)
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of `identity_json`."""
+        return hashlib.sha256(self.identity_json().encode()).hexdigest()
 
     @property
     def number(self) -> int:

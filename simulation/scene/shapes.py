@@ -31,7 +31,7 @@ def footprint(shape: Outline, size_x_mm: float, size_y_mm: float, corner_radius_
         angles = 2.0 * np.pi * np.arange(CURVE_POINTS) / CURVE_POINTS
         return np.stack([0.5 * size_x_mm * np.cos(angles), 0.5 * size_y_mm * np.sin(angles)], axis=1)
     if shape == "hexagon":
-        return rounded(_hexagon(size_x_mm), corner_radius_mm)
+        return rounded(_hexagon(size_x_mm, size_y_mm), corner_radius_mm)
     half: Array = np.array([0.5 * size_x_mm, 0.5 * size_y_mm])
     if corner_radius_mm <= 0.0:
         return np.asarray(np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], dtype=np.float64) * half)
@@ -52,19 +52,29 @@ def held_profile(shape: Outline, size_x_mm: float, size_y_mm: float, corner_radi
     if shape == "ellipse":
         return np.array([0.5 * size_y_mm, 0.0, 0.5 * size_x_mm, 0.5 * size_y_mm, 0.0])
     if shape == "hexagon":
-        return np.array([0.25 * math.sqrt(3.0) * size_x_mm, 0.25 * size_x_mm, 1.0, 1.0, math.sqrt(3.0)])
+        stretch = _stretch(size_x_mm, size_y_mm)
+        crest_mm = 0.25 * math.sqrt(3.0) * size_x_mm * stretch
+        return np.array([crest_mm, 0.25 * size_x_mm, 1.0, 1.0, math.sqrt(3.0) * stretch])
     radius = max(corner_radius_mm, 0.2)
     return np.array([0.5 * size_y_mm, 0.5 * size_x_mm - radius, radius, radius, 0.0])
 
 
-def _hexagon(size_x_mm: float) -> Array:
+def _hexagon(size_x_mm: float, size_y_mm: float) -> Array:
     angles = np.asarray(np.pi / 3.0 * np.arange(6))
-    return np.asarray(0.5 * size_x_mm * np.stack([np.cos(angles), np.sin(angles)], axis=1))
+    corners = 0.5 * size_x_mm * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return np.asarray(corners * (1.0, _stretch(size_x_mm, size_y_mm)))
 
 
-def held_polygon(shape: Outline, size_x_mm: float, corner_radius_mm: float) -> Array | None:
+def _stretch(size_x_mm: float, size_y_mm: float) -> float:
+    """Height of a hexagon over that of a regular one, which equal sizes stand for: its corners lie on a circle."""
+    return 1.0 if size_x_mm == size_y_mm else size_y_mm / (math.sqrt(0.75) * size_x_mm)
+
+
+def held_polygon(shape: Outline, size_x_mm: float, size_y_mm: float, corner_radius_mm: float) -> Array | None:
     """The section between the fingers [n, 2], mm, for shapes whose edges alone define it: a hexagon with radii."""
-    return rounded(_hexagon(size_x_mm), corner_radius_mm) if shape == "hexagon" and corner_radius_mm > 0.0 else None
+    if shape != "hexagon" or corner_radius_mm <= 0.0:
+        return None
+    return rounded(_hexagon(size_x_mm, size_y_mm), corner_radius_mm)
 
 
 def rounded(vertices: Vertices, radius_mm: float) -> Array:

@@ -3,6 +3,7 @@
 The software is not given the world. Adapting is training's own command in a separate process, as on a cell's PC.
 """
 
+import hashlib
 import json
 import shutil
 import subprocess
@@ -25,12 +26,13 @@ from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row, ends
 from simulation.data.parallel import results
 from simulation.data.progress import progress
+from simulation.data.sources import sources_sha256
 from simulation.scene import drawn
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import World
 from simulation.studies.episodes import Episode, play
 from simulation.studies.pace.points import client, with_care
-from simulation.studies.wiring import by_corner, carried_out, named_mistakes, probes, seed_of
+from simulation.studies.wiring import by_corner, carried_out, named_mistakes, probes, seed_of, touched
 
 COUNTED = (
     *("direction_right", "direction_n", "mae_x_mm", "mae_theta_deg", "covered_x", "covered_theta"),
@@ -42,6 +44,8 @@ PROBES, WORK, SCORING = 1, 2, 3
 FEW = 50
 REFUSED, STAYS = 2, 3
 """Exit statuses of `training adapt`: invalid input, such as nothing to learn from, and a release that stays."""
+ANSWERS: Mapping[str, set[int]] = {"simulation": {0}, "training": {0, REFUSED, STAYS}, "export": {0, REFUSED}}
+"""Exit statuses that are an answer, of each package's command."""
 MISTAKES: Mapping[str, Mapping[str, Any]] = {
     "fingers swapped": {"swapped_fingers": True},
     "left mirrored": {"mirrored": (True, False)},
@@ -124,12 +128,8 @@ def commission(cell: Cell, plan: Plan) -> Row:
 
     A cell with a mistake stops there: no version is played, and all its counts are 0.
     """
-    signs: list[Row] = []
-    for number, jobs in enumerate(cell.signs(), 1):
-        signs = _played(cell, plan, f"signs-{number}", jobs, in_order=True)
-        if carried_out(signs):
-            break
-    labelled = [cell.folder / f"signs-{number}" / f"{index:05d}" for index in range(len(signs))]
+    signs, folder = _asked_for_signs(cell, plan)
+    labelled = [folder / f"{index:05d}" for index in range(len(signs))]
     row: Row = {"world": cell.world.name, "mistakes_named": named_mistakes(signs), "signs_told": carried_out(signs)}
     if row["mistakes_named"] or not plan.probes:
         row |= {name: {**dict.fromkeys(COUNTED, 0), **dict.fromkeys(COUNTED[2:7])} for name in VERSIONS}
@@ -138,12 +138,13 @@ def commission(cell: Cell, plan: Plan) -> Row:
     labelled += [cell.folder / "probes" / f"{index:05d}" for index in range(len(probes))]
     if plan.work:
         _played(cell, plan, "work", cell.jobs(plan.work, WORK))
-    around_s = _pressed_around(cell, plan) if plan.around else 0.0
+    around, around_s = _pressed_around(cell, plan) if plan.around else (None, 0.0)
     row["released"] = _scored(cell, plan, "released", plan.models)
     outcomes = {}
     for name, episodes in _lessons(cell, plan, labelled).items():
-        outcomes[name], models = _adapted(cell, plan, name, episodes)
-        row[name] = row["released"] if models is None else _scored(cell, plan, name, models)
+        pressed = None if name == AFTER_WORK else around
+        outcomes[name], models = _adapted(cell, plan, name, episodes, pressed)
+        row[name] = row["released"] if models is None else _scored(cell, plan, models.parent.name, models)
     return {
         "after_150": row["after_50"],
         "after_work": row["released"],
@@ -153,6 +154,22 @@ def commission(cell: Cell, plan: Plan) -> Row:
         "accepted": outcomes.get("after_150", outcomes["after_50"])["accepted"],
         "verdicts": outcomes,
     }
+
+
+def _asked_for_signs(cell: Cell, plan: Plan) -> tuple[list[Row], Path]:
+    """The wiring check's four probes, and their folder: with the first object that touches something.
+
+    Where none does, those of the first object with which they were carried out, if there is one.
+    """
+    signs, folder = list[Row](), cell.folder
+    for number, jobs in enumerate(cell.signs(), 1):
+        name = f"signs-{number}"
+        rows = _played(cell, plan, name, jobs, in_order=True)
+        if not signs or touched(rows) or not carried_out(signs):
+            signs, folder = rows, cell.folder / name
+        if touched(rows):
+            break
+    return signs, folder
 
 
 def _lessons(cell: Cell, plan: Plan, labelled: Sequence[Path]) -> dict[str, Sequence[Path]]:
@@ -165,13 +182,20 @@ def _lessons(cell: Cell, plan: Plan, labelled: Sequence[Path]) -> dict[str, Sequ
     return lessons
 
 
-def _pressed_around(cell: Cell, plan: Plan) -> float:
-    """Press the cell's objects in simulated cells with the grip and height given to its client; returns the seconds."""
-    kept, known, out = (cell.folder / name for name in ("around.json", "around.toml", "around"))
+def _pressed_around(cell: Cell, plan: Plan) -> tuple[Path, float]:
+    """Press the cell's objects in simulated cells with the grip and height given to its client; the folder, seconds.
+
+    Raises ContractError if an object cannot be pressed there.
+    """
+    held = next(iter(cell.objects.values())).grasp
+    told_mm = held.height_mm + cell.world.unstated.told_height_error_mm
+    tables: drawn.Tables = {"grasp": {"force_n": held.force_n, "height_mm": told_mm}, "gel": {"tier": "bristle"}}
+    pressed_by = sources_sha256("simulation.data.collect")
+    which = [pressed_by, plan.around, tables, {name: scene.sha256 for name, scene in cell.objects.items()}]
+    out = cell.folder / f"around-{_digest(json.dumps(which).encode())}"
+    kept, known = out.with_suffix(".json"), out.with_suffix(".toml")
     if not kept.exists():
-        began, held = time.monotonic(), next(iter(cell.objects.values())).grasp
-        told_mm = held.height_mm + cell.world.unstated.told_height_error_mm
-        tables: drawn.Tables = {"grasp": {"force_n": held.force_n, "height_mm": told_mm}, "gel": {"tier": "bristle"}}
+        began = time.monotonic()
         known.parent.mkdir(parents=True, exist_ok=True)
         known.write_text(drawn.toml(tables, "what the client is given, of the tier that costs least"), encoding="utf-8")
         each = str(-(-plan.around // len(cell.objects)))
@@ -179,7 +203,7 @@ def _pressed_around(cell: Cell, plan: Plan) -> float:
         more = ("--trials-per-object", each, "--seed", str(cell.seed), "--workers", str(plan.workers))
         _call("simulation", "collect", *where, *more)
         write_json(kept, {"took_s": time.monotonic() - began})
-    return float(json.loads(kept.read_text(encoding="utf-8"))["took_s"])
+    return out, float(json.loads(kept.read_text(encoding="utf-8"))["took_s"])
 
 
 def _minutes(rows: Sequence[Row]) -> float:
@@ -213,9 +237,16 @@ def _scored(cell: Cell, plan: Plan, name: str, models: Path) -> Row:
     return {key: counted[key] for key in COUNTED}
 
 
-def _adapted(cell: Cell, plan: Plan, name: str, episodes: Sequence[Path]) -> tuple[Row, Path | None]:
-    """The verdict of ``training adapt`` on these episodes, and the new networks' folder if accepted."""
-    shown, run = cell.folder / f"{name}-episodes", cell.folder / name
+def _adapted(
+    cell: Cell, plan: Plan, name: str, episodes: Sequence[Path], around: Path | None
+) -> tuple[Row, Path | None]:
+    """The verdict of ``training adapt`` on these episodes, and the new networks' folder if accepted.
+
+    It is kept for exactly what it was made from: release, episodes and presses ``around`` the cell.
+    """
+    made_from = [plan.checkpoint.read_bytes(), *((episode / "summary.json").read_bytes() for episode in episodes)]
+    run = cell.folder / f"{name}-{_digest(*made_from, str(around and around.name).encode())}"
+    shown = run.with_name(f"{run.name}-episodes")
     kept, models, began = run / "verdict.json", run / "models", time.monotonic()
     if not kept.exists():
         shutil.rmtree(shown, ignore_errors=True)
@@ -226,7 +257,7 @@ def _adapted(cell: Cell, plan: Plan, name: str, episodes: Sequence[Path]) -> tup
             (shown / f"{index:05d}").symlink_to(episode.resolve())
         answer = run / "told.json"
         words = [str(shown), "--from", str(plan.checkpoint), "--out", str(run), "--json", str(answer)]
-        words += ["--around", str(cell.folder / "around")] if plan.around and name != AFTER_WORK else []
+        words += ["--around", str(around)] if around else []
         refused = _call("training", "adapt", *words)
         outcome: Row = {"accepted": False, "best": "released", "objections": [refused], "samples_n": 0}
         if answer.exists():
@@ -240,10 +271,15 @@ def _adapted(cell: Cell, plan: Plan, name: str, episodes: Sequence[Path]) -> tup
     return outcome, models if outcome["accepted"] else None
 
 
+def _digest(*parts: bytes) -> str:
+    """A short name for contents."""
+    return hashlib.sha256(b"".join(hashlib.sha256(part).digest() for part in parts)).hexdigest()[:12]
+
+
 def _call(package: str, *words: str) -> str:
-    """Call a command and return its output. Raises ContractError if it failed."""
+    """Call a command and return its output. Raises ContractError if it gave no answer."""
     done = subprocess.run([sys.executable, "-m", package, *words], capture_output=True, text=True, check=False)
     text = done.stderr.strip() or done.stdout.strip()
-    if done.returncode not in {0, REFUSED, STAYS}:
+    if done.returncode not in ANSWERS[package]:
         raise ContractError(f"python -m {package} {words[0]}: exit status {done.returncode}: {text[-2000:]}")
     return text

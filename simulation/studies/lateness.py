@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from robot_client.insertion.limits import LimitError
+from robot_client.insertion.state import Phase
 from robot_client.session.commission.lateness import PLACE, Press, late_s, next_is_fast, slow_and_fast
 from robot_client.session.stops import StopWatch
 from simulation.closed_loop.client import trip_s
@@ -25,6 +26,7 @@ from simulation.studies.wiring import by_corner
 def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
     """All presses with an object, in one grasp: measured and true lateness in s, None for one that was not measured.
 
+    As on a cell, a press that fails ends them, and none of them counts.
     ``job``: fields of `Job`. ``robot_s``: time of the robot, including the trip to the fixture and back.
     """
     arm = world.unstated
@@ -42,8 +44,11 @@ def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
         insertion.watches = watch.on_event
         insertion.begin_again(plans[fast])
         insertion.run()
+        if failed := insertion.state.phase is not Phase.PROBED:
+            break
         series.append(Press(fast=fast, stop=watch.stop))
-    return row | {"late_s": late_s(series), "robot_s": insertion.seconds.total_s + trip_s(plans[0])}
+    known_s = None if failed else late_s(series)
+    return row | {"late_s": known_s, "robot_s": insertion.seconds.total_s + trip_s(plans[0])}
 
 
 @dataclass(frozen=True)

@@ -19,14 +19,16 @@ SIGNS = 4
 def by_corner(objects: Mapping[str, Scene]) -> list[str]:
     """Their names, the one whose first corner to touch lies farthest out in x and y first: it tells the yaw best.
 
-    That corner is half the width away in x. In y it is away by what a turn adds to the width, over the turn.
+    That corner is half the width away in x. In y it is away by what a turn adds to the width, over the turn. Objects
+    whose gap is so wide that they go in from such an error come last: they touch nothing.
     """
 
-    def reach_mm2(name: str) -> float:
-        straight_mm, turned_mm = (half_width_mm(objects[name].object.footprint_mm, deg) for deg in (0.0, SIDES[0][1]))
-        return straight_mm * (turned_mm - straight_mm)
+    def place(name: str) -> tuple[bool, float]:
+        scene = objects[name]
+        straight_mm, turned_mm = (half_width_mm(scene.object.footprint_mm, deg) for deg in (0.0, SIDES[0][1]))
+        return not any(scene.fits(*side) for side in SIDES), straight_mm * (turned_mm - straight_mm)
 
-    return sorted(objects, key=reach_mm2, reverse=True)
+    return sorted(objects, key=place, reverse=True)
 
 
 def seed_of(seed: int, purpose: int, index: int) -> int:
@@ -47,6 +49,11 @@ def probes(world: World, name: str, seed: int, **job: Any) -> list[Row]:
 def carried_out(rows: Sequence[Row]) -> bool:
     """Whether each of these probes was answered or inserted; else the client would have stopped there."""
     return not any(row["reason"] and not row["trials"] for row in rows)
+
+
+def touched(rows: Sequence[Row]) -> bool:
+    """Whether these probes were carried out and felt a block: an object that goes in tells nothing of the wiring."""
+    return carried_out(rows) and any(row["trials"] for row in rows)
 
 
 def named_mistakes(rows: Sequence[Row]) -> list[str]:

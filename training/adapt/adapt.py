@@ -29,8 +29,8 @@ from training.config import DataConfig
 from training.data.episodes import LATER, read_episodes
 from training.data.labels import class_of
 from training.data.pressed import Pressed, load_pressed
-from training.fit.checkpoint import Checkpoint
-from training.metrics.figures import Z90, Predictions, figures, probabilities
+from training.fit.checkpoint import AS_TRAINED, OWN, Checkpoint
+from training.metrics.figures import Z90, Predictions, Scales, figures, probabilities
 from training.metrics.joint import Densities
 
 FEWEST = 20
@@ -93,13 +93,14 @@ def adapt(
 
     ``around``: a dataset of presses simulated around the cell, for the stage of that name. ``record``: of the cell's
     commissioning, see `read_episodes`. Raises ContractError where there is nothing to learn from, where the checkpoint
-    reads no depth, or where it was adapted to some of these recordings: no figure would be on held-out ones.
+    reads no depth, or where it was adapted to some of these recordings or does not say to which: no figure would be on
+    held-out ones.
     """
     release = Checkpoint.load(start)
     if release.pressing is None:
         raise ContractError(f"{start} holds a {release.network.kind} network, expected one that reads steps of depth")
     samples = read_episodes(recordings, release.sensor, record)
-    if known_n := len(set(_learnt_from(release)) & set(_digests(samples))):
+    if known_n := len(set(_learnt_from(release, start)) & set(_digests(samples))):
         raise ContractError(f"{start} was adapted to {known_n} of these recordings; adapt the release that it is from")
     predicted = trainer_of(release.build(), samples).predict(np.arange(len(samples)), pictures=False)
     samples, gap = framed(samples, predicted.error)
@@ -145,7 +146,7 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
         return Comparison({}, "released", (few,), len(groups), fixtures_n)
     predictions = {stage: pair.take(first) for stage, (pair, _) in held.items()}
     folds = folds_of(groups, seed)
-    fair = {stage: _fair(stage, release, one, folds) for stage, one in predictions.items()}
+    fair = {stage: _fair(stage, release.scales, one, folds) for stage, one in predictions.items()}
     losses = {stage: _losses(one) for stage, one in fair.items()}
     by_loss = sorted(fair, key=lambda stage: float(losses[stage].mean()))
     likelier = by_loss[: by_loss.index("released")]
@@ -156,14 +157,14 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
     return Comparison(described, best, objections, len(groups), fixtures_n)
 
 
-def _fair(stage: StageName, release: Checkpoint, predictions: Predictions, folds: list[Rows]) -> Predictions:
+def _fair(stage: StageName, scales: Scales, predictions: Predictions | Densities, folds: list[Rows]) -> Predictions:
     """Calibrated predictions, each fold of the fixtures by the others: no fit calibrates its own samples."""
     if stage == "released":
-        return predictions.rescaled(release.scales)
+        return predictions.rescaled(scales)
     parts = []
     for held in folds:
         mine = np.isin(np.arange(len(predictions.truth)), held)
-        parts.append(predictions.take(mine).rescaled(calibrated(release.scales, predictions.take(~mine))))
+        parts.append(predictions.take(mine).rescaled(calibrated(scales, predictions.take(~mine))))
     back = np.argsort(np.concatenate([np.sort(held) for held in folds]))
     joined = {name: np.concatenate([getattr(part, name) for part in parts])[back] for name in Predictions.__slots__}
     return Predictions(**joined)
@@ -179,6 +180,7 @@ def _fitted(
 ) -> Checkpoint:
     """The release after the accepted stage on all samples, calibrated on the predictions ``held`` out."""
     pair, joint = (predictions.take(samples.objects != LATER) for predictions in held)
+    folds = folds_of(samples.groups[samples.objects != LATER], seed)
     around = comparison.best == "around"
     rows = np.arange(len(samples))
     network = fit_around(release, presses, seed) if around else fit_stage(comparison.best, release, samples, rows, seed)
@@ -186,7 +188,7 @@ def _fitted(
         "from": release.weights_sha256(),
         "attempts": samples.sha256,
         "attempts_n": len(samples),
-        "recordings": [*_learnt_from(release), *_digests(samples)],
+        "recordings": [*_learnt_from(release, Path(release.name)), *_digests(samples)],
         "fixtures_n": comparison.fixtures_n,
         "stage": comparison.best,
         "presses": presses.sha256 if around and presses else None,
@@ -199,17 +201,28 @@ def _fitted(
         weights={name: value.detach().clone() for name, value in network.state_dict().items()},
         scales=calibrated(release.scales, pair),
         joint_scales=calibrated(release.joint_scales, joint),
-        figures={"validation/all": dict(comparison.figures[comparison.best])},
+        figures={
+            OWN: dict(comparison.figures[comparison.best]),
+            f"joint/{OWN}": figures(_fair(comparison.best, release.joint_scales, joint, folds)),
+            AS_TRAINED: release.as_trained,
+        },
         git_commit=commit(),
         run={**release.run, "adapted": lineage},
     )
 
 
-def _learnt_from(release: Checkpoint) -> list[str]:
+def _learnt_from(release: Checkpoint, path: Path) -> list[str]:
     """Digests of the recordings that a checkpoint was adapted to, empty for one that is as trained."""
     adapted = release.run.get("adapted")
+    if adapted is None:
+        return []
     listed = adapted.get("recordings") if isinstance(adapted, dict) else None
-    return [str(one) for one in listed] if isinstance(listed, list) else []
+    if not isinstance(listed, list):
+        raise ContractError(
+            f"{path} was adapted by an earlier version, which did not note to which recordings;"
+            " adapt the release that it is from"
+        )
+    return [str(one) for one in listed]
 
 
 def _digests(samples: Pressed) -> list[str]:

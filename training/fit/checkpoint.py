@@ -18,11 +18,13 @@ from training.networks import build
 from training.networks.settings import NetworkConfig
 
 _FORMAT = 1
+OWN, AS_TRAINED = "validation/all", "trained/all"
+"""Keys of a network's figures: its own, and those of the release that it was adapted from."""
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Everything that the exporter needs. ``figures`` belong to the split named in ``scored_on``."""
+    """Everything that the exporter needs. ``figures`` belong to the split and the objects that their key names."""
 
     name: str
     network: NetworkConfig
@@ -40,6 +42,11 @@ class Checkpoint:
     """For networks that read steps of depth: how they read them."""
     expectations: Expectations = field(default_factory=Expectations)
     """Expectations of attempts with it, for the belief."""
+
+    @property
+    def as_trained(self) -> dict[str, float]:
+        """Figures of the training that this network is from, adapted since or not; empty if it was not validated."""
+        return self.figures.get(AS_TRAINED, self.figures.get(OWN, {}))
 
     def save(self, path: Path) -> None:
         about = {

@@ -17,8 +17,8 @@ PLACE = (8.0, 8.0)
 """Error of these presses, mm and deg: a corner of the object stands on one block."""
 FAST_MM_S, SLOWEST_MM_S, SLOW_SHARE, LEAST_RATIO = 10.0, 3.0, 0.4, 1.5
 RATE_SHARE = 0.95  # a camera's rate that is measured again may be this much lower
-FASTS_N, MOST_N = 2, 12
-"""Fast presses that are needed, and presses at most: one whose contact is not known tells nothing."""
+FASTS_N, MOST_N = 2, 13
+"""Fast presses that are needed, and presses at most, four of them fast: some tell nothing, their contact not known."""
 STICKS, SLIDES = 0.5, 1.0
 """Part of the time between two frames by which a contact between them is uncertain: all of it if the object slides."""
 SLIDES_MM = 0.3  # an object that a slow press pushes up by more slides: its motion does not grow in a straight line
@@ -57,12 +57,13 @@ def next_is_fast(series: Sequence[Press]) -> bool | None:
 
 
 def late_s(series: Sequence[Press]) -> float | None:
-    """How late pictures and arm are together at most, s; None before a fast press with two slow ones before it.
+    """How late pictures and arm are together at most, s; None before two fast presses, each after two slow ones.
 
-    The largest estimate counts, and what the distance of two frames leaves open is added.
+    The larger estimate counts, as one alone may be short by a whole frame; and what the distance of two frames leaves
+    open is added.
     """
     estimates_s, _ = _read(series)
-    if not estimates_s:
+    if len(estimates_s) < FASTS_N:
         return None
     slides = any(crept_mm > SLIDES_MM for _, crept_mm in estimates_s)
     frame_s = max(press.stop.frame_s for press in series if press.fast and press.stop)

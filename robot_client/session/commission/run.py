@@ -82,9 +82,10 @@ class Commissioning:
             while len(self.record.signs) < len(SIDES):
                 number = len(self.record.signs)
                 done = await self._probe(f"sign {number + 1} of {len(SIDES)}", *SIDES[number])
-                self._keep(signs=(*self.record.signs, done))
-            self._keep(named=mistakes(self.record.signs))
-            if self.press_at and not self.record.named and not self.record.timed:
+                signs = (*self.record.signs, done)
+                self._keep(signs=signs, named=mistakes(signs) if len(signs) == len(SIDES) else ())
+            self._keep(named=mistakes(self.record.signs))  # an older record may have been cut off before them
+            if self.press_at and not self.record.named and self.record.late_s is None:
                 self._keep(timed=await self._timed(self.press_at))
             while self.press and not self.record.named and len(self.record.presses) < len(PRESSES):
                 number = len(self.record.presses)

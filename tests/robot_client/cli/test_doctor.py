@@ -13,10 +13,11 @@ from rich.console import Console
 from robot_client.cli.doctor import WIDTH, Row, doctor, examine, examine_pc, grid
 from robot_client.cli.remedies import GENERAL, remedy_of
 from robot_client.insertion.geometry import WorkPose
+from robot_client.session.commission.record import Record, commissioned, keep_record, read_record
 from robot_client.session.cycle import CycleSettings
 from robot_client.session.handshake import HandshakeSettings
 from robot_client.settings import _merged, load_settings
-from service.contract import wire
+from service.contract import ContractError, wire
 from tests.robot_client.live_cell import bench, outcome, side_by_side
 
 SOON = {"robot": {"rws": {"request_timeout_s": 1.0}}, "gripper": {"reply_timeout_s": 0.5}}
@@ -201,3 +202,19 @@ def test_the_table_fits_a_terminal_and_shows_texts_as_they_are(capsys, monkeypat
     assert max(len(line) for line in text.splitlines()) <= WIDTH
     assert "\x1b" not in text
     assert "[bold]" in text
+
+
+def test_a_record_of_another_version_is_renewed_by_commissioning(tmp_path):
+    path = tmp_path / "commissioning.json"
+    path.write_text('{"version": 0, "begun": "then", "seed": 1, "stops": []}')
+    with pytest.raises(ContractError) as refused:
+        read_record(path)
+    assert "commission --live" in remedy_of(str(refused.value))
+    path.write_text(Record(begun="then", seed=1).model_dump_json())
+    with pytest.raises(ContractError) as edited:
+        read_record(path)
+    assert "commission --live" in remedy_of(str(edited.value))
+    keep_record(path, Record(begun="then", seed=1))
+    with pytest.raises(ContractError) as cut_off:
+        commissioned(path)
+    assert "commission --live" in remedy_of(str(cut_off.value))

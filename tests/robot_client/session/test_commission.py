@@ -16,6 +16,7 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.lease import Lease
 from robot_client.insertion.state import Phase, State
 from robot_client.ports import DriverError
+from robot_client.session.commission import run as commission_run
 from robot_client.session.commission.record import Record, keep_record, read_record
 from robot_client.session.commission.run import PRESSES, Commissioning, Ended, errors
 from robot_client.session.commission.wiring import SIDES, probe_of
@@ -128,6 +129,17 @@ def test_presses_come_after_the_signs_once_and_older_records_keep_their_digest(t
     assert [(probe.x_mm, probe.theta_deg) for probe in record.presses] == pressed
     assert record.digest() != was
     assert record.model_copy(update={"presses": ()}).digest() == was
+
+
+def test_no_record_has_all_signs_and_not_yet_their_mistakes(tmp_path, monkeypatch):
+    """A power cut in between would leave a record from which wrong labels are learnt."""
+    kept = []
+    monkeypatch.setattr(
+        commission_run, "keep_record", lambda path, record: (kept.append(record), keep_record(path, record))
+    )
+    asyncio.run(commissioning(Cell(sign=-1), tmp_path / "record.json").run(0))
+    assert [len(record.signs) for record in kept][:4] == [1, 2, 3, 4]
+    assert all(bool(record.named) == (len(record.signs) == len(SIDES)) for record in kept)
 
 
 def test_a_cell_with_the_wrong_signs_is_not_pressed(tmp_path):

@@ -8,6 +8,7 @@ import pytest
 from service.contract.shipped import released_models
 from simulation.cli import evaluate
 from simulation.closed_loop import campaign
+from simulation.closed_loop.job import Job
 from simulation.closed_loop.statistics import Row
 from tests.service import tiny_models
 from tests.simulation.closed_loop.test_evaluation import ROW
@@ -59,6 +60,7 @@ def test_nothing_is_inserted_in_a_cell_that_is_wired_wrong(worlds, tmp_path, mon
 
     again = evaluated(worlds, models, tmp_path / "blind.json", "--objects", "circle", "--uncommissioned")
     assert again["swapped"]["inserted"] == 2
+    assert {task.job["commissioned"] for task in played[-4:]} == {False}
 
 
 def test_another_object_is_tried_where_the_first_cannot_be_held(worlds, tmp_path, monkeypatch):
@@ -76,12 +78,39 @@ def test_another_object_is_tried_where_the_first_cannot_be_held(worlds, tmp_path
     assert not any("contradictory" in reason for reason in alone["swapped"]["reasons"])  # nobody could tell
 
 
+def test_another_object_is_tried_where_the_first_goes_in(worlds, tmp_path, monkeypatch):
+    def play(task: campaign.Task) -> Row:
+        answer = as_wired(task)
+        return {**answer, "trials": []} if task.job["scene"] == "rectangle" else answer
+
+    monkeypatch.setattr(campaign, "play", play)
+    models = tiny_models.write_models(tmp_path / "models")
+    rows = evaluated(worlds, models, tmp_path / "rows.json", "--objects", "rectangle", "circle")
+    assert rows["swapped"]["reasons"] == {f"commissioning: contradictory: {SWAPPED}": 2}
+
+
 def test_a_sensor_that_the_networks_do_not_read_is_named_before_anything_is_played(tmp_path, monkeypatch):
     monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played"))
     (tmp_path / "mini.toml").write_text('[camera]\nsensor = "gelsight_mini"\n')
     models = tiny_models.write_models(tmp_path / "models")
     with pytest.raises(ValueError, match="world mini, object circle: pictures of the sensor gelsight_mini are 320 x"):
         evaluated([str(tmp_path / "mini.toml")], models, tmp_path / "rows.json", "--objects", "circle")
+
+
+def test_rows_of_an_object_that_was_edited_since_are_played_again(worlds, tmp_path, monkeypatch):
+    played = list[float]()
+
+    def play(task: campaign.Task) -> Row:
+        played.append(Job(**task.job).build_scene().object.mass_kg)
+        return as_wired(task)
+
+    monkeypatch.setattr(campaign, "play", play)
+    models, mine = tiny_models.write_models(tmp_path / "models"), tmp_path / "mine.toml"
+    for mass_kg in (0.1, 0.5, 0.5):
+        shape = '[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 90.0\n'
+        mine.write_text(f"order = 4\n{shape}mass_kg = {mass_kg}\n")
+        evaluated(worlds[:1], models, tmp_path / "rows.json", "--objects", str(mine), "--uncommissioned")
+    assert played == [0.1, 0.1, 0.5, 0.5]
 
 
 @pytest.mark.slow

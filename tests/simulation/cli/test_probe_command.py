@@ -54,3 +54,20 @@ def test_a_picture_that_cannot_be_written_is_one_line(tmp_path: Path, name: str,
 def test_the_layer_tier_can_be_looked_at(capsys) -> None:
     assert main(["probe", "circle", "--tier", "layer"]) == 0
     assert "outcome blocked" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["explain", "probe"])
+def test_an_object_that_cannot_be_held_is_one_line(tmp_path: Path, capsys, command: str) -> None:
+    tiny = tmp_path / "tiny.toml"
+    shape = '[object]\nshape = "rectangle"\nsize_x_mm = 6.0\nsize_y_mm = 6.0\n'
+    tiny.write_text(f"{shape}[grasp]\nforce_n = 120.0\n")
+    assert main([command, str(tiny)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "squeezes the gel through; it bears" in line
+
+
+def test_a_deeper_gap_is_descended_to_its_full_depth() -> None:
+    scene = load_scene("rectangle", blocks__insertion_depth_mm=21.0)
+    probe = run_probe(scene, 0.2, 0.1)
+    assert probe.outcome == "inserted"
+    assert probe.depth_mm[-1] == pytest.approx(scene.full_depth_mm)

@@ -38,7 +38,7 @@ def test_an_unknown_name_or_models_folder_is_named(models, tmp_path):
 
 def test_a_finished_run_is_not_played_again(models, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played again"))
-    options = evaluate.Options(objects=("circle",), count=2, models=models, perception="fields")
+    options = evaluate.Options(objects=("circle",), count=2, models=models, perception="fields", uncommissioned=True)
     done = [dict(ROW) | dict(task.job) | {"attempts": 1, "made_by": task.made_by} for task in evaluate.tasks(options)]
     log = tmp_path / "rows.insertions.jsonl"
     log.write_text("\n".join(json.dumps(row) for row in done) + '\n{"cut by a ki')

@@ -52,6 +52,7 @@ def test_an_insertion_without_an_equilibrium_is_not_said_to_be_refused():
     ("reason", "named"),
     [
         ("service: refused: untrained: grip_n is 9, trained on 9.4 to 43", "service: refused: untrained"),
+        ("limits: plan: plan z_mm = 0.0, allowed 5 .. 150", "limits: plan: plan z_mm = 0.0, allowed 5 .. 150"),
         ("service: unwatched: newest frame judged 403 ms ago", "service: unwatched"),
         (
             "commissioning: contradictory: the fingers are swapped",

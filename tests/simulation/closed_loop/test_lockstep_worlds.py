@@ -99,6 +99,20 @@ def test_a_descent_stands_once_its_lease_is_over_wherever_that_is_between_two_fr
     assert not held.moving
 
 
+def test_a_heavy_object_settles_while_the_arm_stands() -> None:
+    for mass_kg, least_mm in ((0.1, 0.0), (2.0, 0.003)):
+        stopped = cell(object__mass_kg=mass_kg, grasp__force_n=15.0)
+        stopped.descend(stopped.pose[2] - 6.0)
+        while stopped.moving:
+            stopped.next_pair(look=False)
+        places = [stopped.state.in_hand[0]]
+        for _ in range(8):
+            stopped.next_pair(look=False)
+            places.append(stopped.state.in_hand[0])
+        assert least_mm <= np.ptp(places) <= 2.0 * least_mm
+        assert abs(places[-1] - places[-2]) < 1e-4
+
+
 def test_blocks_above_the_approach_are_run_into_and_not_jumped_into() -> None:
     hit = cell(unstated={"blocks_up_mm": 5.5})
     assert hit.state.in_contact
@@ -122,6 +136,11 @@ def test_a_cell_that_measured_its_reach_tells_it_a_little_wrong_and_another_tell
     _, reach_mm = conditions(replace(job, given_reach=True))
     assert reach_mm != pytest.approx(true_mm, rel=1e-3)
     assert reach_mm == pytest.approx(true_mm, rel=0.6)
+
+
+def test_a_gel_without_friction_has_no_reach_to_send() -> None:
+    job = Job("rectangle", 0, 8.0, 5.0, 1, "belief", "fields", changes={"gel.friction": 0.0}, given_reach=True)
+    assert stage(job, models_of(released_models())).state.plan.shear_reach_mm is None
 
 
 def test_open_gels_are_seen_as_the_cameras_are_wired():
@@ -157,7 +176,8 @@ def test_a_cell_whose_signs_are_known_straightens_what_another_has_to_regrasp() 
     assert ends[True][1] < ends[False][1], "a regrasp takes longer"
 
 
-def test_a_miswired_cell_knows_no_signs() -> None:
-    for unstated, known in (({}, True), ({"mirrored": (True, False)}, False), ({"x_sign": -1}, False)):
-        job = Job("rectangle", 0, 8.0, 6.0, 3, "belief", "fields", unstated=unstated)
+def test_a_miswired_or_uncommissioned_cell_knows_no_signs() -> None:
+    miswired = [({"mirrored": (True, False)}, True, False), ({"x_sign": -1}, True, False)]
+    for unstated, commissioned, known in [({}, True, True), ({}, False, False), *miswired]:
+        job = Job("rectangle", 0, 8.0, 6.0, 3, "belief", "fields", unstated=unstated, commissioned=commissioned)
         assert stage(job, models_of(released_models())).state.plan.signs_known == known

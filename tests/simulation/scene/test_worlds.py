@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from simulation.scene import rubber
@@ -16,6 +17,7 @@ PENTAGON = """
 shape = "polygon"
 vertices_mm = [[30.0, -22.0], [30.0, 15.0], [0.0, 38.0], [-30.0, 15.0], [-30.0, -22.0]]
 """
+HEXAGON = '[object]\nshape = "hexagon"\nsize_x_mm = 60.0\n'
 SLIPPERY = """
 [gel]
 tier = "layer"
@@ -86,6 +88,7 @@ def test_gap_and_start_follow_from_the_width_where_the_file_leaves_them_out(tmp_
         ("[grasp]\nfinger_stiffness_n_per_mm = -1\n", "grasp.finger_stiffness_n_per_mm: expected a number >= 0.0"),
         ("[camera]\nlatency_ms = 700\n", "camera.latency_ms: expected a number >= 0.0 and <= 500.0"),
         ("[world]\nx_sign = 2\n", "world.x_sign: Input should be 1 or -1 (given: 2)"),
+        ("[world]\nyaw_sign = [1]\n", "world.yaw_sign: Input should be 1 or -1 (given: [1])"),
         ("[world]\ntcp_offset_mm = 2.0\n", "world.tcp_offset_mm: Input should be a valid"),
         ("[world]\ncamera_scale = [1.0, 3.0]\n", "world.camera_scale.1: Input should be less than or equal to 1.25"),
         ("[gel\n", "not valid TOML"),
@@ -108,6 +111,8 @@ def test_a_world_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, text:
         (PENTAGON.replace("[0.0, 38.0]", "[0.0, 10.0]"), "object.vertices_mm: expected corners of a convex polygon"),
         (PENTAGON.replace("[0.0, 38.0]", "[0.0]"), "object.vertices_mm"),
         (PENTAGON + "corner_radius_mm = 40.0\n", "object.corner_radius_mm: two corners' arcs do not fit on the edge"),
+        (PENTAGON + "held_size_x_mm = 30.0\n", "object.held_size_x_mm: expected with held_shape"),
+        (HEXAGON + "size_y_mm = 20.0\ncorner_radius_mm = 10.0\n", "object.corner_radius_mm: two corners' arcs do not"),
         (TIN + "corner_radius_mm = 1.0\n", "object.corner_radius_mm: an ellipse has none"),
         (
             BOX.replace("rectangle", "hexagon") + "corner_radius_mm = 26.0\n",
@@ -139,6 +144,38 @@ def test_a_world_and_an_object_that_do_not_fit_are_both_named(tmp_path: Path, wo
     small = BOX.replace("60.0", "20.0")
     with pytest.raises(SceneError, match=f"world odd, object small.*{re.escape(named)}"):
         load_world(write(tmp_path, "odd", world)).around(load_scene(write(tmp_path, "small", small)))
+
+
+def test_a_hexagon_has_the_sizes_of_its_file_and_is_regular_where_they_are_equal(tmp_path: Path) -> None:
+    for size_y_mm, high_mm in ((60.0, 30.0 * 3.0**0.5), (40.0, 40.0)):
+        body = load_scene(write(tmp_path, "hexagon", f"{HEXAGON}size_y_mm = {size_y_mm}\n")).object
+        assert np.ptp(body.footprint_mm, axis=0) == pytest.approx([60.0, high_mm])
+        crest_mm, flat_mm, _, _, slope = body.held_profile
+        assert (crest_mm, flat_mm) == pytest.approx((0.5 * high_mm, 15.0))
+        assert crest_mm / slope == pytest.approx(15.0), "the sides meet at the corners on x"
+        rounded = load_scene(write(tmp_path, "soft", f"{HEXAGON}size_y_mm = {size_y_mm}\ncorner_radius_mm = 2.0\n"))
+        assert rounded.object.held_profile[0] == pytest.approx(0.5 * high_mm)
+
+
+@pytest.mark.parametrize(("text", "radius_mm"), [(BOX + "corner_radius_mm = 4.0\n", 4.0), (TIN, 0.0)])
+def test_held_sizes_without_a_shape_are_those_of_the_objects_own(tmp_path: Path, text: str, radius_mm: float) -> None:
+    body = load_scene(write(tmp_path, "held", text + "held_size_y_mm = 30.0\n")).object
+    shape = f'held_shape = "{body.shape}"\nheld_corner_radius_mm = {radius_mm}\n'
+    stated = load_scene(write(tmp_path, "stated", text + shape + "held_size_y_mm = 30.0\n")).object
+    assert body.held_profile[0] == 15.0
+    assert body.held_profile.tolist() == stated.held_profile.tolist()
+    assert body.footprint_mm.tolist() == load_scene(write(tmp_path, "whole", text)).object.footprint_mm.tolist()
+
+
+def test_blocks_are_free_unless_the_object_or_the_world_fixes_them(tmp_path: Path) -> None:
+    from simulation.closed_loop.job import Job, job_in
+
+    fixed = write(tmp_path, "fixed", BOX + "[blocks]\nfree = false\n")
+    for world, scene, free in ((World(), "circle", True), (World(), str(fixed), False)):
+        assert Job(**job_in(world, scene, 0, (8.0, 5.0), 1)).build_scene().blocks.free is free
+    for free in (True, False):
+        world = World("w", {"blocks.free": free})
+        assert Job(**job_in(world, str(fixed), 0, (8.0, 5.0), 1)).build_scene().blocks.free is free
 
 
 def test_every_key_of_the_format_is_read(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from service.contract import ContractError
 from simulation.closed_loop.statistics import Row
 from simulation.scene.worlds import World, load_objects
 from simulation.studies import commissioning
@@ -49,6 +50,26 @@ def test_probes_are_drawn_within_what_the_object_may_be_off_and_none_where_it_fi
     assert len(MISTAKES) == 6
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "asked"),
+    [
+        ("in", "touched", "signs-2"),
+        ("not held", "touched", "signs-2"),
+        ("in", "in", "signs-1"),
+        ("in", "not held", "signs-1"),
+        ("not held", "in", "signs-2"),
+    ],
+)
+def test_the_signs_are_those_of_the_first_object_that_touches_something(tmp_path, monkeypatch, first, second, asked):
+    row = {"in": {"reason": "", "trials": []}, "not held": {"reason": "service: refused", "trials": []}}
+    row["touched"] = {"reason": "", "trials": [{}]}
+    ends = {"signs-1": first, "signs-2": second}
+    monkeypatch.setattr(commissioning, "_played", lambda _cell, _plan, name, jobs, **_: [row[ends[name]]] * len(jobs))
+    cell = Cell(World(), load_objects(OBJECTS), tmp_path, 1)
+    signs, folder = commissioning._asked_for_signs(cell, Plan(tmp_path, tmp_path, 0, 1))
+    assert (signs, folder) == ([row[ends[asked]]] * 4, tmp_path / asked)
+
+
 def test_the_page_bears_a_run_that_only_asked_for_signs():
     named = {"good": [], "good, x reversed": ["corrections in x reach the arm reversed"]}
     rows = [
@@ -81,7 +102,55 @@ def test_an_adapted_network_that_cannot_be_exported_is_refused_and_the_cell_goes
     monkeypatch.setattr(commissioning, "_call", adapt_accepts)
     cell = Cell(World("cell"), load_objects(OBJECTS), tmp_path / "cell", 3)
     plan = Plan(released_models() / "checkpoint.pt", released_models(), 0, 1, workers=1)
-    outcome, models = commissioning._adapted(cell, plan, "after_50", [])
+    outcome, models = commissioning._adapted(cell, plan, "after_50", [], None)
     assert models is None
     assert not outcome["accepted"]
     assert "never validated" in outcome["objections"][0]
+
+
+def episodes(folder: Path, count: int) -> list[Path]:
+    """Stored probes that hold nothing to learn from."""
+    summary = {"purpose": "probe", "outcome": "failed", "approach": {"x_mm": 5.0, "yaw_deg": 4.0}}
+    listed = [folder / f"{index:05d}" for index in range(count)]
+    for each in listed:
+        each.mkdir(parents=True)
+        (each / "summary.json").write_text(json.dumps({**summary, "count": count}))
+    return listed
+
+
+def test_a_verdict_is_kept_for_its_episodes_and_its_release_only(tmp_path):
+    from service.contract.shipped import released_models
+
+    cell = Cell(World("cell"), load_objects(OBJECTS), tmp_path / "cell", 3)
+    plan = Plan(released_models() / "checkpoint.pt", released_models(), 0, 1, workers=1)
+    (other := tmp_path / "other.pt").write_bytes(b"no checkpoint")
+
+    def objection(plan: Plan, from_these: list[Path]) -> str:
+        outcome, _ = commissioning._adapted(cell, plan, "after_50", from_these, None)
+        return str(outcome["objections"][0])
+
+    one, two = episodes(tmp_path / "one", 1), episodes(tmp_path / "two", 2)
+    first = objection(plan, one)
+    assert "other.pt" in objection(replace(plan, checkpoint=other), one)
+    objection(plan, two)
+    assert objection(plan, one) == first
+    assert len(list(cell.folder.glob("after_50-*/verdict.json"))) == 3
+
+
+def test_presses_around_a_cell_are_kept_for_their_number_and_objects_only(tmp_path):
+    from simulation.data.manifest import read_manifest
+
+    objects = load_objects(OBJECTS)
+    cell = Cell(World("cell"), {"circle": objects["circle"]}, tmp_path / "cell", 3)
+    plan = Plan(tmp_path, tmp_path, 0, 1, workers=1, around=1)
+    one, took_s = commissioning._pressed_around(cell, plan)
+    two, _ = commissioning._pressed_around(cell, replace(plan, around=2))
+    other, _ = commissioning._pressed_around(replace(cell, objects={"rectangle": objects["rectangle"]}), plan)
+    assert [read_manifest(folder).trials for folder in (one, two, other)] == [1, 2, 1]
+    assert list(read_manifest(other).scenes) == ["rectangle"]
+    assert commissioning._pressed_around(cell, plan) == (one, took_s)
+
+
+def test_an_object_that_cannot_be_pressed_around_a_cell_ends_the_run(tmp_path):
+    with pytest.raises(ContractError, match=r"simulation collect: exit status 2: .*teapot"):
+        commissioning._call("simulation", "collect", "--out", str(tmp_path), "--objects", "teapot")

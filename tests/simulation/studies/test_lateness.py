@@ -3,6 +3,7 @@
 import pytest
 
 from service.contract.shipped import released_models
+from simulation.cli.drawn_worlds import drawn_worlds_of
 from simulation.scene import drawn
 from simulation.scene.worlds import load_objects, load_scene
 from simulation.studies.lateness import errors_ms, lateness, timed
@@ -22,6 +23,14 @@ def test_presses_bound_the_latency_and_the_stop_lag_together(latency_ms, stop_la
     assert row["true_late_s"] == pytest.approx(1e-3 * latency_ms + stop_lag_s)
     assert -0.002 < row["late_s"] - row["true_late_s"] < 0.03, "it is never taken for shorter than it is"
     assert 0.0 < row["robot_s"] < 60.0
+
+
+def test_a_press_that_fails_ends_the_presses_as_on_a_cell():
+    """The object turns in the hand, and the service refuses to go on with it."""
+    turned = drawn_worlds_of(200, 109, 0.1)[117]
+    row = timed(turned, "rectangle", 5, released_models())
+    assert row["late_s"] is None
+    assert row["robot_s"] < 25.0, "all thirteen presses take 27 s"
 
 
 def test_each_world_is_timed_and_errors_are_counted_where_it_was_measured():

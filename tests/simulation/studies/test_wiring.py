@@ -20,6 +20,15 @@ def test_the_part_with_the_farthest_corner_is_probed_first_and_a_round_one_last(
     assert [next(part for part in sizes if part in name) for name in order] == ["wide", "narrow", "round"]
 
 
+def test_an_object_that_goes_in_from_a_probes_error_comes_last(tmp_path):
+    """Its four probes would touch nothing."""
+    box = '[object]\nshape = "rectangle"\nsize_x_mm = {}\nsize_y_mm = 100.0\n[blocks]\ngap_mm = {}\n'
+    for name, sizes in {"wide": (80.0, 110.0), "tight": (60.0, 64.0)}.items():
+        (tmp_path / f"{name}.toml").write_text(box.format(*sizes))
+    order = by_corner(load_objects((str(tmp_path),)))
+    assert [name.rpartition("/")[2] for name in order] == ["tight.toml", "wide.toml"]
+
+
 def probe(x_mm, theta_deg, felt, sigma=1.5):
     """A row of a probe at a known error with the networks' answer ``said``."""
     estimate = {

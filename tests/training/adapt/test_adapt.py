@@ -133,7 +133,9 @@ def test_a_cell_that_is_off_is_learnt_from_work(release, tmp_path, stages):
     assert after["coverage90_x"] > 0.8
     made = Checkpoint.load(tmp_path / "out" / "checkpoint.pt")
     assert made.run["adapted"]["stage"] == comparison.best
-    assert made.figures == {"validation/all": after}, "not those of the release"
+    assert made.figures["validation/all"] == after, "not those of the release"
+    assert made.as_trained == Checkpoint.load(release).figures["validation/all"]
+    assert made.figures["joint/validation/all"]["mae_x_mm"] < 0.8 * before["mae_x_mm"]
     with pytest.raises(ContractError, match="was adapted to 80 of these recordings"):
         adapt(tmp_path / "runs", tmp_path / "out" / "checkpoint.pt", tmp_path / "again")
     assert made.weights_sha256() != Checkpoint.load(release).weights_sha256() or comparison.best == "calibration"
@@ -214,6 +216,13 @@ def test_too_few_probes_leave_the_release_and_none_are_an_error(release, tmp_pat
     assert "probe more" in few.text()
     with pytest.raises(ContractError, match="expected"):
         adapt(recorded(tmp_path / "none", 0), release, tmp_path / "out")
+
+
+def test_a_network_that_does_not_say_what_it_was_adapted_to_is_refused(release, tmp_path):
+    start = Checkpoint.load(release)
+    replace(start, run={**start.run, "adapted": {"stage": "all"}}).save(tmp_path / "early.pt")
+    with pytest.raises(ContractError, match=r"early\.pt was adapted by an earlier version.*adapt the release"):
+        adapt(recorded(tmp_path / "runs", 5), tmp_path / "early.pt", tmp_path / "out")
 
 
 def test_a_network_of_frames_is_refused(release, tmp_path):
