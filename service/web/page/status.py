@@ -181,7 +181,8 @@ class Status:
             self._note_overdue()
             if health["recording"] and not any(a.key == "recording" for a in self._alarms.all[:1]):
                 self._alarms.sound("recording", "warning", "Insertions are not recorded", detail=health["recording"])
-            alarms = [asdict(alarm) | {"active": self._is_active(alarm.key)} for alarm in self._alarms.all]
+            listed = self._alarms.shown(SHOWN_ALARMS_N)
+            alarms = [asdict(alarm) | {"active": self._is_active(alarm.key)} for alarm in listed]
             running, last = self._running, self._last
             shown = running and asdict(running) | {
                 "attempts_max": wire.MAX_ATTEMPTS,
@@ -192,7 +193,7 @@ class Status:
                 "headline": self._headline(health),
                 "running": shown,
                 "last": asdict(last) if last else None,
-                "alarms": alarms[:SHOWN_ALARMS_N],
+                "alarms": alarms,
                 "open_alarms_n": len(self._alarms.open),
                 "events": list(self._events)[::-1],
                 "health": health,
