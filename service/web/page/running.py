@@ -11,6 +11,7 @@ from service.decision.controllers import Command
 from service.web.page.sentences import shift, sure
 
 GHOSTS_N = 24
+ANSWERED = {"no_decision", "refused"}  # a person has to read why: shown until the next attempt
 
 
 @dataclass(slots=True)
@@ -67,7 +68,7 @@ class Running:
     def robot(self, sample: wire.RobotSample) -> None:
         if sample.phase in {"inserted", "failed"}:
             return
-        self.phase = sample.phase
+        self.phase = self.phase if self.phase in ANSWERED else sample.phase
         self.width_mm = sample.width_mm if sample.width_mm is not None else self.width_mm
         self.depth_mm = sample.depth_mm if sample.depth_mm is not None else self.depth_mm
 
