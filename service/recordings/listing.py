@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from service.contract.frames import first_error
+from service.contract.replies import descended_n
 from service.contract.wire_parts import errors_left
 from service.recordings.recovery import is_being_written
 from service.recordings.writer import NAME
@@ -41,9 +42,15 @@ class Summary(BaseModel):
     continues: str | None = None
     seconds: float | None = None
     decisions: list[Decided] = []
+    doubts: list[dict[str, Any]] = []
     markers_share: float | None = None
     brightness_grey: float | None = None
     gel_distance: float | None = None
+
+    @property
+    def tried_n(self) -> int:
+        """The attempts that went down."""
+        return descended_n(self.cause, self.attempts, self.doubts)
 
     @property
     def held_n(self) -> tuple[int, int]:
@@ -109,7 +116,7 @@ def _entry(folder: Path) -> dict[str, Any]:
     stamp = datetime.strptime(folder.name[:15], "%Y%m%dT%H%M%S")  # noqa: DTZ007 - shown as it is, UTC
     held_n, stated_n = summary.held_n
     facts: dict[str, Any] = {"name": folder.name, "started": f"{stamp:%Y-%m-%d %H:%M:%S}"}
-    facts |= {"intervals_held_n": held_n, "intervals_n": stated_n}
+    facts |= {"intervals_held_n": held_n, "intervals_n": stated_n, "descended_n": summary.tried_n}
     return facts | summary.model_dump(mode="json")
 
 

@@ -18,7 +18,7 @@ import onnxruntime
 from service import __version__
 from service.cameras.capture import Camera, now_ns
 from service.contract import FINGERS, Finger, wire
-from service.contract.replies import beat, unspoken
+from service.contract.replies import beat, descended_n, unspoken
 from service.decision.models import ModelSet
 from service.decision.work import Work
 from service.observability.charts import Charts
@@ -234,9 +234,7 @@ class InsertionManager:
             return
         self._ended[finished.insertion_id] = finished
         self._decided = insertion.session.decider
-        refused = finished.cause == "afresh" and not finished.doubts  # the last attempt, before it descended
-        descended_n = finished.attempts - refused
-        self._tried_n = insertion.tried_n + descended_n
+        self._tried_n = insertion.tried_n + descended_n(finished.cause, finished.attempts, finished.doubts)
         while len(self._ended) > REMEMBERED_N:
             self._ended.popitem(last=False)
 

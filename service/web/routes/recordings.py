@@ -18,13 +18,15 @@ from service.web.access import Access
 class Listed(Summary):
     """A finished insertion with its folder's name and when it began (UTC).
 
-    ``intervals_held_n`` of ``intervals_n`` 90 % intervals held what turned out to be true.
+    ``intervals_held_n`` of ``intervals_n`` 90 % intervals held what turned out to be true; ``descended_n`` of its
+    ``attempts`` went down.
     """
 
     name: str
     started: str
     intervals_held_n: int
     intervals_n: int
+    descended_n: int
 
 
 class Recordings(BaseModel):
