@@ -1,5 +1,6 @@
 """Prometheus metrics, fed by the hub."""
 
+import time
 from functools import partial
 from typing import Any, get_args
 
@@ -16,6 +17,7 @@ from service.web.page.sentences import CHANGES
 _STAGE_BUCKETS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.033, 0.066, 0.13, 0.25, 0.5, 1, 2)
 
 NO_CAUSE = "none"
+TURNED_AWAY: tuple[wire.FaultCode, ...] = ("bad_message", "busy", "forbidden", "not_ready", "protocol_version")
 
 
 class Metrics:
@@ -33,6 +35,10 @@ class Metrics:
         for cause in get_args(wire.Cause):  # a series that begins at its first event hides that event from increase()
             self._finished.labels(ending(cause), cause)
         self._finished.labels("inserted", NO_CAUSE)
+        self._refused = Counter("clients_refused", "Clients that could open no insertion, by why", ["code"], **make)
+        for code in TURNED_AWAY:
+            self._refused.labels(code)
+        Gauge("start_time_seconds", "When the service started, Unix time", **make).set(time.time())
         self._faults = Counter("camera_faults", "Camera faults", ["finger", "code"], **make)
         self._slip_age = Histogram("slip_age_seconds", "Capture to stop message", buckets=_STAGE_BUCKETS, **make)
         self._result_age = Histogram("result_age_seconds", "Capture to slip judgement", buckets=_STAGE_BUCKETS, **make)
@@ -102,6 +108,8 @@ class Metrics:
             self._messages.labels(content.type).inc()
         elif kind == "finished":
             self._finished.labels(content.outcome, content.cause or NO_CAUSE).inc()
+        elif kind == "turned_away" and content in TURNED_AWAY:
+            self._refused.labels(content).inc()
         elif kind == "version":
             self._changes.labels(content["what"]).inc()
         elif kind == "drift":
