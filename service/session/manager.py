@@ -63,6 +63,7 @@ class InsertionManager:
     opened_n: int = 0
     jpegs: dict[tuple[Finger, int], bytes | None] = field(default_factory=dict)
     unrecorded_n: int = 0
+    frames_unrecorded_n: int = 0
     _unrecorded: str = ""
     _decided: Decider | None = None  # of the last insertion: the next one may continue with its object
     _tried_n: int = 0  # attempts with that object so far
@@ -80,12 +81,18 @@ class InsertionManager:
 
     @property
     def recording_problem(self) -> str:
-        """Why recordings are incomplete: the last one was, or the next one will be; "" if they are complete."""
+        """What keeps insertions from being recorded now; "" if nothing does, whatever befell the last one."""
         recorder = self.active.recorder if self.active else None
-        return (recorder.error if recorder else "") or self._unrecorded or problem_of(self.settings.recordings)
+        return (recorder.error if recorder else "") or problem_of(self.settings.recordings)
+
+    @property
+    def unrecorded(self) -> str:
+        """What the recording under way, else the last one, lacks, or what keeps the next from being made; or ""."""
+        recorder = self.active.recorder if self.active else None
+        return (recorder.problem if recorder else "") or self._unrecorded or self.recording_problem
 
     def _note_recorded(self, problem: str) -> None:
-        """Note that an insertion was recorded completely, or the problem."""
+        """Note that an insertion was recorded whole, or the problem."""
         self._unrecorded = problem
         if problem:
             self.unrecorded_n += 1
@@ -246,7 +253,8 @@ class InsertionManager:
         how = finished.model_dump(mode="json", include={"outcome", "cause", "attempts", "doubts"}) | insertion.facts
         if recorder := insertion.recorder:
             recorder.close(how)
-            self._note_recorded(f"recording {recorder.path}: {recorder.error}" if recorder.error else "")
+            self.frames_unrecorded_n += recorder.left_out_n
+            self._note_recorded(f"recording {recorder.path}: {recorder.problem}" if recorder.problem else "")
         insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
         if insertion.send:
             insertion.send(finished)

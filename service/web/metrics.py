@@ -46,8 +46,9 @@ class Metrics:
         dropped = Gauge("frames_dropped", "Frames dropped by backlog", **make)
         unpaired = Gauge("frames_unpaired", "Frames without a partner in time", **make)
         caught = Gauge("internal_errors", "Errors caught inside the service, each with a log line", ["where"], **make)
-        recording = Gauge("recording_ok", "1 if insertions are recorded whole", **make)
+        recording = Gauge("recording_ok", "1 if the last insertion was recorded whole and the next can be", **make)
         unrecorded = Gauge("insertions_unrecorded", "Insertions that were not recorded whole", **make)
+        left_out = Gauge("frames_unrecorded", "Frames and observations left out of ended recordings", **make)
         drift = Gauge("drift", "Control charts of the cell; 1 is their limit", ["chart"], **make)
         self._drifts = Counter("drift_alarms", "Control charts that crossed their limit, by cause", ["cause"], **make)
         for cause in CAUSES:
@@ -65,8 +66,9 @@ class Metrics:
         unpaired.set_function(lambda: station.pairer.dropped_n)
         caught.labels("perception").set_function(lambda: station.counters.perception_errors_n)
         caught.labels("listener").set_function(lambda: station.hub.errors_n)
-        recording.set_function(lambda: float(not station.recording_problem))
+        recording.set_function(lambda: float(not station.manager.unrecorded))
         unrecorded.set_function(lambda: station.manager.unrecorded_n)
+        left_out.set_function(lambda: station.manager.frames_unrecorded_n)
         ready.set_function(lambda: float(station.ready))
         self._counted: dict[Finger, int] = {}
         station.hub.subscribe(self._on_event)

@@ -233,7 +233,7 @@ class Status:
             return any(finger == name and self._station.cameras[finger].state != "live" for finger in FINGERS)
         if what == "drift":
             return self._station.manager.charts.level(name) >= 1.0
-        return what == "recording" and bool(self._station.recording_problem)
+        return what == "recording" and bool(self._station.manager.unrecorded)
 
     def _health(self) -> dict[str, Any]:
         station = self._station
@@ -242,7 +242,7 @@ class Status:
             "ready": station.ready,
             "cameras": {f: station.cameras[f].entry.model_dump() for f in FINGERS},
             "driver": active.session.insertion_id if active else None,
-            "recording": station.recording_problem,
+            "recording": station.manager.unrecorded,
             "frames_dropped_n": station.counters.frames_dropped_n,
             "insertions_n": station.manager.opened_n,
             "versions": versions(station.versions.state()),
