@@ -1,7 +1,9 @@
 """Contents of the recordings folder: finished insertions, and problems with the others."""
 
 import math
+from collections.abc import Iterator
 from datetime import datetime
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -92,23 +94,25 @@ class Summary(BaseModel):
 
 def list_recordings(root: Path, most_n: int | None = None) -> tuple[list[dict[str, Any]], list[str]]:
     """Finished insertions, newest first (the ``most_n`` newest), and the problems with the others."""
-    listed: list[dict[str, Any]] = []
     problems: list[str] = []
+    return list(islice(each_recording(root, problems), most_n)), problems
+
+
+def each_recording(root: Path, problems: list[str]) -> Iterator[dict[str, Any]]:
+    """Finished insertions, newest first; what keeps others from being listed is added to ``problems``."""
     try:
         folders = sorted((p for p in root.iterdir() if NAME.fullmatch(p.name)), reverse=True)
     except OSError as error:
-        return [], [f"{root}: {error.strerror}"]
+        problems.append(f"{root}: {error.strerror}")
+        return
     for folder in folders:
-        if len(listed) == most_n:
-            break
         try:
-            listed.append(_entry(folder))
+            yield _entry(folder)
         except FileNotFoundError:
             if folder.is_dir() and not is_being_written(folder):
                 problems.append(f"{folder.name}: broken off; the next start of the service recovers what can be read")
         except (OSError, ValueError) as error:
             problems.append(f"{folder.name}: summary.json: {_reason(error)}")
-    return listed, problems
 
 
 def _entry(folder: Path) -> dict[str, Any]:
