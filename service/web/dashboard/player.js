@@ -98,7 +98,7 @@ at("play").onclick = () => {
 at("again").onclick = async () => {
   const mine = shown;
   at("answer").hidden = false;
-  at("answer").textContent = "Deciding again with the networks that are loaded now";
+  at("answer").textContent = "Deciding again with the networks that decided it";
   const answer = await fetch(withToken(`${mine.base}/decide`), { method: "POST" });
   const told = await answer.json();
   if (shown !== mine) return;
