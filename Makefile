@@ -253,10 +253,11 @@ down: $(OPS_VENV)/ready ## stop and remove the containers of CELL; recordings st
 verify-images: $(OPS_VENV)/ready bundle ## build images and bundle, run the loop in them, kill the service during an insertion, print sizes and times
 	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) -m tests.docker.verify_images --outside $(CURDIR)/$(RUN) --bundle "$$(ls $(CURDIR)/dist/*.tar)"
 
-lint-ops: $(OPS_VENV)/ready ## check Dockerfiles, alert rules (needs promtool) and manifests
+lint-ops: $(OPS_VENV)/ready ## check Dockerfiles, alert rules (needs promtool, amtool) and manifests
 	$(OPS_VENV)/bin/hadolint docker/*.Dockerfile
 	promtool check config docker/prometheus/prometheus.yml
 	promtool test rules docker/prometheus/alerts_test.yml
+	amtool check-config docker/prometheus/alertmanager.yml
 	$(OPS_VENV)/bin/kubernetes-validate --quiet --strict docker/kubernetes/cell.yaml
 
 bundle: $(RUN_VENV)/ready ## archive for a cell without internet: wheels, code, models, installer, checksums -> dist/

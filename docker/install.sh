@@ -1,5 +1,6 @@
 #!/bin/sh
 # Install this bundle on a cell without internet. usage: ./install.sh [--prefix DIR] [--no-systemd]
+# Between insertions: at the end it restarts the services that run.
 set -eu
 prefix=/opt/tactile-insertion
 units=yes
@@ -31,6 +32,8 @@ if [ "$units" = yes ]; then
   install -d -m 755 /etc/tactile-insertion
   [ -e /etc/tactile-insertion/cell-a.env ] || install -m 640 -g tactile cell.env.example /etc/tactile-insertion/cell-a.env
   systemctl daemon-reload
+  # One that runs has the old code in memory and would go on with it, beside the new pages and networks on the disk.
+  systemctl try-restart 'tactile-insertion@*'
   echo "edit /etc/tactile-insertion/cell-a.env, then: systemctl enable --now tactile-insertion@cell-a"
 fi
 echo "installed in $prefix"

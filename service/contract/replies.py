@@ -1,4 +1,6 @@
-"""Answers that need no session: clocks, heartbeats, and to a client of another protocol."""
+"""Answers that need no session: clocks, heartbeats, and to a client of another protocol; and how an insertion ended."""
+
+from collections.abc import Sized
 
 from service.contract.wire import PROTOCOL, Cause, ClientHeartbeat, ClientHello, Clock, Ending, Fault, ServiceHeartbeat
 
@@ -29,3 +31,8 @@ def ending(cause: Cause | None) -> Ending:
     if cause == "not_confirmed":
         return "not_confirmed"
     return "aborted" if cause in {"operator", "probed", "afresh"} else "failed"
+
+
+def descended_n(cause: str | None, attempts_n: int, doubts: Sized) -> int:
+    """The attempts that went down: one that ends for a regrasp was refused before it did, unless its end is doubted."""
+    return attempts_n - (cause == "afresh" and not doubts)

@@ -1,13 +1,16 @@
 """Contents of the recordings folder: finished insertions, and problems with the others."""
 
 import math
+from collections.abc import Iterator
 from datetime import datetime
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from service.contract.frames import first_error
+from service.contract.replies import descended_n
 from service.contract.wire_parts import errors_left
 from service.recordings.recovery import is_being_written
 from service.recordings.writer import NAME
@@ -41,9 +44,15 @@ class Summary(BaseModel):
     continues: str | None = None
     seconds: float | None = None
     decisions: list[Decided] = []
+    doubts: list[dict[str, Any]] = []
     markers_share: float | None = None
     brightness_grey: float | None = None
     gel_distance: float | None = None
+
+    @property
+    def tried_n(self) -> int:
+        """The attempts that went down."""
+        return descended_n(self.cause, self.attempts, self.doubts)
 
     @property
     def held_n(self) -> tuple[int, int]:
@@ -85,23 +94,25 @@ class Summary(BaseModel):
 
 def list_recordings(root: Path, most_n: int | None = None) -> tuple[list[dict[str, Any]], list[str]]:
     """Finished insertions, newest first (the ``most_n`` newest), and the problems with the others."""
-    listed: list[dict[str, Any]] = []
     problems: list[str] = []
+    return list(islice(each_recording(root, problems), most_n)), problems
+
+
+def each_recording(root: Path, problems: list[str]) -> Iterator[dict[str, Any]]:
+    """Finished insertions, newest first; what keeps others from being listed is added to ``problems``."""
     try:
         folders = sorted((p for p in root.iterdir() if NAME.fullmatch(p.name)), reverse=True)
     except OSError as error:
-        return [], [f"{root}: {error.strerror}"]
+        problems.append(f"{root}: {error.strerror}")
+        return
     for folder in folders:
-        if len(listed) == most_n:
-            break
         try:
-            listed.append(_entry(folder))
+            yield _entry(folder)
         except FileNotFoundError:
             if folder.is_dir() and not is_being_written(folder):
                 problems.append(f"{folder.name}: broken off; the next start of the service recovers what can be read")
         except (OSError, ValueError) as error:
             problems.append(f"{folder.name}: summary.json: {_reason(error)}")
-    return listed, problems
 
 
 def _entry(folder: Path) -> dict[str, Any]:
@@ -109,7 +120,7 @@ def _entry(folder: Path) -> dict[str, Any]:
     stamp = datetime.strptime(folder.name[:15], "%Y%m%dT%H%M%S")  # noqa: DTZ007 - shown as it is, UTC
     held_n, stated_n = summary.held_n
     facts: dict[str, Any] = {"name": folder.name, "started": f"{stamp:%Y-%m-%d %H:%M:%S}"}
-    facts |= {"intervals_held_n": held_n, "intervals_n": stated_n}
+    facts |= {"intervals_held_n": held_n, "intervals_n": stated_n, "descended_n": summary.tried_n}
     return facts | summary.model_dump(mode="json")
 
 

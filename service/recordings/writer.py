@@ -51,6 +51,7 @@ from numpy.typing import NDArray
 from service.cameras.capture import CameraFrame
 from service.contract import TactileFrame, wire
 from service.perception.observation import Observation
+from service.recordings.messages import image_message, markers_message
 from service.recordings.schemas import CompressedImage, Markers, RawImage, descriptor_set, encode, json_schema
 
 NAME = re.compile(r"[0-9]{8}T[0-9]{6,12}_[A-Za-z0-9_-]{1,64}")  # of a recording's folder
@@ -108,8 +109,8 @@ class _Mcap:
 class Recorder:
     """Writes one insertion in its own thread; every method returns at once.
 
-    If the disk is too slow, or the file reaches ``largest_bytes``, frames are dropped (and counted); messages and calls
-    never are.
+    If the disk is too slow, or the file reaches ``largest_bytes``, frames and observations are left out, counted and
+    named in ``problem``; messages and calls never are.
     """
 
     root: Path
@@ -126,6 +127,7 @@ class Recorder:
     _offset_ns: int = field(init=False)
     error: str = ""
     _stuck: bool = False
+    _full: bool = False
     _waiting_bytes: int = 0
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -152,6 +154,15 @@ class Recorder:
     def path(self) -> Path:
         """Path of the finished recording."""
         return self.folder / FINAL
+
+    @property
+    def problem(self) -> str:
+        """What the recording lacks, and why; empty as long as it has everything."""
+        if self.error or not self.left_out_n:
+            return self.error
+        limit = f"the file reached its limit of {self.largest_bytes / 1e6:.0f} MB"
+        why = limit if self._full else "the disk is too slow"
+        return f"{self.left_out_n} frames and observations were left out: {why}"
 
     def frame(self, frame: CameraFrame) -> None:
         kind, values = image_message(frame)
@@ -242,45 +253,16 @@ class Recorder:
         with self._lock:
             self._waiting_bytes -= size
         if self._stream.tell() > self.largest_bytes:
-            self.left_out_n += 1
+            self.left_out_n, self._full = self.left_out_n + 1, True
             return
         self._mcap.protobuf(topic, kind, values, log_ns, seq)
 
     def _write_summary(self, summary: Mapping[str, Any]) -> None:
         facts = {"insertion_id": self.insertion_id, "left_out_n": self.left_out_n} | dict(summary)
-        facts |= {"problem": self.error} if self.error else {}
+        facts |= {"problem": self.problem} if self.problem else {}
         if not self._stuck:
             self._mcap.metadata(OUTCOME, {k: v if isinstance(v, str) else json.dumps(v) for k, v in facts.items()})
         write_whole(self.folder / "summary.json", json.dumps(facts, indent=1))
-
-
-def image_message(camera_frame: CameraFrame) -> tuple[Any, dict[str, Any]]:
-    """A frame in Foxglove's form: the camera's own JPEG, or raw pixels; without its time."""
-    frame = camera_frame.frame
-    if camera_frame.jpeg is not None:
-        return CompressedImage, {"frame_id": frame.finger, "data": camera_frame.jpeg, "format": "jpeg"}
-    height, width = frame.pixels.shape[:2]
-    size = {"width": width, "height": height, "encoding": "bgr8", "step": 3 * width}
-    data = np.ascontiguousarray(frame.pixels).data.cast("B")  # the recorder's thread copies it, not the caller
-    return RawImage, {"frame_id": frame.finger, "data": data} | size
-
-
-def markers_message(observation: Observation) -> dict[str, Any]:
-    """Markers and slip of one frame, without its time."""
-    rows, cols = observation.field.valid.shape
-    return {
-        "seq": observation.seq,
-        "rows": rows,
-        "cols": cols,
-        "rest_px": np.array(observation.field.rest_px, np.float32),
-        "displacement_px": np.array(observation.field.displacement_px, np.float32),
-        "residual_px": np.array(observation.slip.residual_px, np.float32),
-        "valid": observation.field.valid.astype(np.uint8).tobytes(),
-        "state": observation.slip.state,
-        "slip_score": float(observation.slip.score),
-        "slipping": observation.slip.slipping.astype(np.uint8).tobytes(),
-        "sticking": observation.slip.sticking.astype(np.uint8).tobytes(),
-    }
 
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -18,7 +18,7 @@ import onnxruntime
 from service import __version__
 from service.cameras.capture import Camera, now_ns
 from service.contract import FINGERS, Finger, wire
-from service.contract.replies import beat, unspoken
+from service.contract.replies import beat, descended_n, unspoken
 from service.decision.models import ModelSet
 from service.decision.work import Work
 from service.observability.charts import Charts
@@ -63,6 +63,7 @@ class InsertionManager:
     opened_n: int = 0
     jpegs: dict[tuple[Finger, int], bytes | None] = field(default_factory=dict)
     unrecorded_n: int = 0
+    frames_unrecorded_n: int = 0
     _unrecorded: str = ""
     held_over: str = ""  # see `OpenGels`
     _decided: Decider | None = None  # of the last insertion: the next one may continue with its object
@@ -81,12 +82,18 @@ class InsertionManager:
 
     @property
     def recording_problem(self) -> str:
-        """Why recordings are incomplete: the last one was, or the next one will be; "" if they are complete."""
+        """What keeps insertions from being recorded now; "" if nothing does, whatever befell the last one."""
         recorder = self.active.recorder if self.active else None
-        return (recorder.error if recorder else "") or self._unrecorded or problem_of(self.settings.recordings)
+        return (recorder.error if recorder else "") or problem_of(self.settings.recordings)
+
+    @property
+    def unrecorded(self) -> str:
+        """What the recording under way, else the last one, lacks, or what keeps the next from being made; or ""."""
+        recorder = self.active.recorder if self.active else None
+        return (recorder.problem if recorder else "") or self._unrecorded or self.recording_problem
 
     def _note_recorded(self, problem: str) -> None:
-        """Note that an insertion was recorded completely, or the problem."""
+        """Note that an insertion was recorded whole, or the problem."""
         self._unrecorded = problem
         if problem:
             self.unrecorded_n += 1
@@ -238,9 +245,7 @@ class InsertionManager:
         self._ended[finished.insertion_id] = finished
         session = insertion.session
         self._decided, self.held_over = session.decider, session.open_gels.after(finished, session.attempt)
-        refused = finished.cause == "afresh" and not finished.doubts  # the last attempt, before it descended
-        descended_n = finished.attempts - refused
-        self._tried_n = insertion.tried_n + descended_n
+        self._tried_n = insertion.tried_n + descended_n(finished.cause, finished.attempts, finished.doubts)
         while len(self._ended) > REMEMBERED_N:
             self._ended.popitem(last=False)
 
@@ -252,7 +257,8 @@ class InsertionManager:
         how = finished.model_dump(mode="json", include={"outcome", "cause", "attempts", "doubts"}) | insertion.facts
         if recorder := insertion.recorder:
             recorder.close(how)
-            self._note_recorded(f"recording {recorder.path}: {recorder.error}" if recorder.error else "")
+            self.frames_unrecorded_n += recorder.left_out_n
+            self._note_recorded(f"recording {recorder.path}: {recorder.problem}" if recorder.problem else "")
         insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
         if insertion.send:
             insertion.send(finished)

@@ -1,7 +1,7 @@
 """The versions of one service: which decides the next insertion, which run beside it, and when they change places."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -102,6 +102,12 @@ class Versions:
     def active(self) -> ModelSet:
         """The networks that decide the next insertion."""
         return self._now.active
+
+    def with_hashes(self, networks: Collection[str]) -> ModelSet:
+        """The version, released, active or beside, whose deciding files have these SHA-256; else the active one."""
+        now = self._now
+        wanted = set(networks)
+        return next((one for one in now.networks.values() if {e.sha256 for e in one.entries} == wanted), now.active)
 
     def beside(self, deciding: ModelSet, limits: Limits, controller: ControllerName) -> Beside | None:
         """The versions beside the networks that decide an insertion; None if there are none or they are outdated."""

@@ -1,5 +1,6 @@
 """Prometheus metrics, fed by the hub."""
 
+import time
 from functools import partial
 from typing import Any, get_args
 
@@ -17,6 +18,7 @@ _STAGE_BUCKETS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.033, 0.066, 0.13,
 
 _NEWEST_NS = 500_000_000
 NO_CAUSE = "none"
+TURNED_AWAY: tuple[wire.FaultCode, ...] = ("bad_message", "busy", "forbidden", "not_ready", "protocol_version")
 
 
 class Metrics:
@@ -34,6 +36,10 @@ class Metrics:
         for cause in get_args(wire.Cause):  # a series that begins at its first event hides that event from increase()
             self._finished.labels(ending(cause), cause)
         self._finished.labels("inserted", NO_CAUSE)
+        self._refused = Counter("clients_refused", "Clients that could open no insertion, by why", ["code"], **make)
+        for code in TURNED_AWAY:
+            self._refused.labels(code)
+        Gauge("start_time_seconds", "When the service started, Unix time", **make).set(time.time())
         self._faults = Counter("camera_faults", "Camera faults", ["finger", "code"], **make)
         self._slip_age = Histogram("slip_age_seconds", "Capture to stop message", buckets=_STAGE_BUCKETS, **make)
         self._result_age = Histogram("result_age_seconds", "Capture to slip judgement", buckets=_STAGE_BUCKETS, **make)
@@ -41,8 +47,9 @@ class Metrics:
         dropped = Gauge("frames_dropped", "Frames dropped by backlog", **make)
         unpaired = Gauge("frames_unpaired", "Frames without a partner in time", **make)
         caught = Gauge("internal_errors", "Errors caught inside the service, each with a log line", ["where"], **make)
-        recording = Gauge("recording_ok", "1 if insertions are recorded whole", **make)
+        recording = Gauge("recording_ok", "1 if the last insertion was recorded whole and the next can be", **make)
         unrecorded = Gauge("insertions_unrecorded", "Insertions that were not recorded whole", **make)
+        left_out = Gauge("frames_unrecorded", "Frames and observations left out of ended recordings", **make)
         drift = Gauge("drift", "Control charts of the cell; 1 is their limit", ["chart"], **make)
         self._drifts = Counter("drift_alarms", "Control charts that crossed their limit, by cause", ["cause"], **make)
         for cause in CAUSES:
@@ -60,8 +67,9 @@ class Metrics:
         unpaired.set_function(lambda: station.pairer.dropped_n)
         caught.labels("perception").set_function(lambda: station.counters.perception_errors_n)
         caught.labels("listener").set_function(lambda: station.hub.errors_n)
-        recording.set_function(lambda: float(not station.recording_problem))
+        recording.set_function(lambda: float(not station.manager.unrecorded))
         unrecorded.set_function(lambda: station.manager.unrecorded_n)
+        left_out.set_function(lambda: station.manager.frames_unrecorded_n)
         ready.set_function(lambda: float(station.ready))
         self._counted: dict[Finger, int] = {}
         self._text, self._made_ns = b"", -_NEWEST_NS
@@ -109,6 +117,8 @@ class Metrics:
             self._messages.labels(content.type).inc()
         elif kind == "finished":
             self._finished.labels(content.outcome, content.cause or NO_CAUSE).inc()
+        elif kind == "turned_away" and content in TURNED_AWAY:
+            self._refused.labels(content).inc()
         elif kind == "version":
             self._changes.labels(content["what"]).inc()
         elif kind == "drift":

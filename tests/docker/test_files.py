@@ -7,6 +7,7 @@ import sys
 import threading
 
 import pytest
+import yaml
 
 from service.contract.shipped import released_models
 from service.session.station import open_station
@@ -139,3 +140,16 @@ def test_every_alert_is_tested():
     tests = (DOCKER / "prometheus" / "alerts_test.yml").read_text()
     assert alerts
     assert {name for name in alerts if name not in tests} == set()
+
+
+def test_prometheus_tells_the_alertmanager_that_compose_starts_about_every_severity():
+    targets = yaml.safe_load((DOCKER / "prometheus" / "prometheus.yml").read_text())["alerting"]["alertmanagers"]
+    started = yaml.safe_load((DOCKER / "compose.yaml").read_text())["services"]["alertmanager"]
+    assert started["profiles"] == ["monitoring"]
+    (address,) = targets[0]["static_configs"][0]["targets"]
+    assert f"--web.listen-address={address}" in started["command"]
+    routed = yaml.safe_load((DOCKER / "prometheus" / "alertmanager.yml").read_text())
+    assert [(one["matchers"], one["receiver"]) for one in routed["route"]["routes"]] == [(['severity="page"'], "pages")]
+    assert {one["name"] for one in routed["receivers"]} == {routed["route"]["receiver"], "pages"}
+    severities = re.findall(r"severity: (\w+)", (DOCKER / "prometheus" / "alerts.yml").read_text())
+    assert set(severities) == {"page", "ticket"}

@@ -14,13 +14,13 @@ export async function listPast() {
   if (!answer.ok) return;
   const { recordings, problems } = await answer.json();
   all = recordings;
-  for (const one of [...all].reverse()) one.attempts += earlier(one) - (one.cause === "afresh");
+  for (const one of [...all].reverse()) one.attempts = one.descended_n + earlier(one);
   at("problems").replaceChildren(...problems.map((textContent) => element("p", { className: "bad", textContent })));
   for (const [key, id] of Object.entries(FILTERS)) options(at(id), [...new Set(all.map((one) => one[key] ?? ""))].sort());
   show();
 }
 
-// Attempts before the object was regrasped; the one that was refused for it is none.
+// Attempts before the object was regrasped.
 const earlier = ({ continues }) => (continues && all.find((one) => one.insertion_id === continues)?.attempts) || 0;
 
 function options(select, values) {

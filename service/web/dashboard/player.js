@@ -1,26 +1,28 @@
 // Playback of one insertion: what both fingers felt, and slip, push and depth, all at one moment of one time axis.
-import { at, ending, withToken } from "/dashboard/dom.js";
+import { at, element, ending, withToken } from "/dashboard/dom.js";
 import { chart } from "/dashboard/charts.js";
 import { drawFelt } from "/dashboard/felt.js";
 
-let shown = null; // {base, moments, events, plots}
+let shown = null; // {base, moments, events, plots} of the recording that is open; answers for another one come too late
 let timer = null;
 let asked = 0;
 
 export async function play(one) {
-  const base = `/v1/recordings/${one.name}`;
+  const mine = shown = { base: `/v1/recordings/${one.name}`, moments: [], events: [], plots: [] };
   at("player-title").textContent = `${one.started} UTC: ${one.object ?? "object"}, ${ending(one)} after ${one.attempts} attempt${one.attempts === 1 ? "" : "s"}`;
-  at("download").href = withToken(base);
+  at("download").href = withToken(mine.base);
   at("answer").hidden = true;
   at("curves").replaceChildren();
   at("then").textContent = "Reading the recording";
   at("player").showModal();
-  const answer = await fetch(withToken(`${base}/timeline`));
+  const answer = await fetch(withToken(`${mine.base}/timeline`));
   const told = await answer.json();
+  if (shown !== mine) return;
   if (!answer.ok) { at("then").textContent = told.error; return; }
-  shown = { base, ...told, plots: [] };
+  Object.assign(mine, { moments: told.moments, events: told.events });
   at("scrub").max = Math.max(0, told.moments.length - 1);
-  await draw(told);
+  await draw(mine, told);
+  if (shown !== mine) return;
   at("scrub").value = 0;
   show();
 }
@@ -31,15 +33,21 @@ function aligned(curves) {
   return [x, curves.map(([times, values]) => { const known = new Map(times.map((time, i) => [time, values[i]])); return x.map((time) => known.get(time) ?? null); })];
 }
 
-async function draw({ slip, push, depth, moments }) {
-  const place = at("curves"), end = Math.max(1, moments.at(-1)?.t ?? 1, depth[0].at(-1) ?? 1);
+async function draw(mine, { slip, push, depth, moments }) {
+  const place = element("div"); // of this recording: another may be opened while this one waits for the library
+  at("curves").replaceChildren(place);
+  const end = Math.max(1, moments.at(-1)?.t ?? 1, depth[0].at(-1) ?? 1);
   const common = { key: "player", height: Math.max(110, Math.round(innerHeight / 6.2)), axis: " s", gap: 0.3, onCursor: seek, scales: { range: () => [0, end] } };
   const two = ([x, [left, right]]) => ({ x, lines: [{ label: "left", colour: "busy", values: left }, { label: "right", colour: "warn", values: right }] });
-  shown.plots = [
-    await chart(place, { ...common, ...two(aligned([slip.left, slip.right])), title: "Slip (1: the arm stops)", unit: "", range: [0, 1.5] }),
-    await chart(place, { ...common, ...two(aligned([push.left, push.right])), title: "Force: push that the gels carry, in marker pitches", unit: "" }),
-    await chart(place, { ...common, x: depth[0], lines: [{ label: "depth", colour: "good", values: depth[1] }], title: "Depth", unit: " mm" }),
-  ];
+  for (const one of [
+    { ...common, ...two(aligned([slip.left, slip.right])), title: "Slip (1: the arm stops)", unit: "", range: [0, 1.5] },
+    { ...common, ...two(aligned([push.left, push.right])), title: "Force: push that the gels carry, in marker pitches", unit: "" },
+    { ...common, x: depth[0], lines: [{ label: "depth", colour: "good", values: depth[1] }], title: "Depth", unit: " mm" },
+  ]) {
+    const plot = await chart(place, one);
+    if (shown !== mine) { plot.destroy(); return; }
+    mine.plots.push(plot);
+  }
 }
 
 function seek(seconds) {
@@ -49,17 +57,18 @@ function seek(seconds) {
 }
 
 async function show() {
-  const moment = shown?.moments[Number(at("scrub").value)];
+  const mine = shown, moment = mine?.moments[Number(at("scrub").value)];
   if (!moment) { at("then").textContent = "No frame of this insertion was judged."; return; }
-  const said = shown.events.filter(({ t }) => t <= moment.t).at(-1)?.text ?? "";
+  const said = mine.events.filter(({ t }) => t <= moment.t).at(-1)?.text ?? "";
   at("then").textContent = `${moment.t.toFixed(2)} s  ${said}`;
   at("scrub").setAttribute("aria-valuetext", at("then").textContent);
-  for (const plot of shown.plots) plot.setCursor({ left: plot.valToPos(moment.t, "x"), top: 0 }, false);
-  const mine = (asked += 1);
+  for (const plot of mine.plots) plot.setCursor({ left: plot.valToPos(moment.t, "x"), top: 0 }, false);
+  const number = (asked += 1);
   for (const finger of ["left", "right"]) {
-    const answer = await fetch(withToken(`${shown.base}/moments/${finger}/${moment[finger]}`));
-    if (mine !== asked || !answer.ok) return;
-    drawFelt(at(`${finger}-then`), at(`${finger}-then-state`), await answer.json());
+    const answer = await fetch(withToken(`${mine.base}/moments/${finger}/${moment[finger]}`));
+    const felt = await answer.json();
+    if (number !== asked || shown !== mine || !answer.ok) return;
+    drawFelt(at(`${finger}-then`), at(`${finger}-then-state`), felt);
   }
 }
 
@@ -71,7 +80,11 @@ function stop() {
 
 at("scrub").oninput = () => { stop(); show(); };
 at("close").onclick = () => at("player").close();
-at("player").onclose = () => { stop(); shown = null; };
+at("player").onclose = () => {
+  stop();
+  for (const plot of shown?.plots ?? []) plot.destroy(); // else its cursor would go on following those of the next
+  shown = null;
+};
 at("play").onclick = () => {
   if (timer) { stop(); return; }
   if (at("scrub").value === at("scrub").max) at("scrub").value = 0;
@@ -83,9 +96,11 @@ at("play").onclick = () => {
   }, 100);
 };
 at("again").onclick = async () => {
+  const mine = shown;
   at("answer").hidden = false;
-  at("answer").textContent = "Deciding again with the networks that are loaded now";
-  const answer = await fetch(withToken(`${shown.base}/decide`), { method: "POST" });
+  at("answer").textContent = "Deciding again with the networks that decided it";
+  const answer = await fetch(withToken(`${mine.base}/decide`), { method: "POST" });
   const told = await answer.json();
+  if (shown !== mine) return;
   at("answer").textContent = answer.ok ? told.lines.join("\n") : told.error;
 };

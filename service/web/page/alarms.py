@@ -11,6 +11,7 @@ from service.recordings.writer import write_whole
 
 Level = Literal["stop", "warning"]
 KEPT_N = 50
+EARLIER = "earlier"  # key of the one alarm that stands for the oldest of too many
 FILE = "alarms.json"
 
 
@@ -35,7 +36,7 @@ class Alarm:
 
 
 class Alarms:
-    """The newest alarms, stored in a file. One thread at a time."""
+    """The newest ``KEPT_N`` alarms, stored in a file; no unacknowledged one is lost. One thread at a time."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -47,6 +48,11 @@ class Alarms:
     def open(self) -> list[Alarm]:
         return [alarm for alarm in self.all if alarm.acknowledged_s is None]
 
+    def shown(self, most_n: int) -> list[Alarm]:
+        """All unacknowledged ones, newest first, then acknowledged ones up to ``most_n`` in all."""
+        acknowledged = [alarm for alarm in self.all if alarm.acknowledged_s is not None]
+        return [*self.open, *acknowledged[: max(0, most_n - len(self.open))]]
+
     def sound(self, key: str, level: Level, title: str, **facts: str | None) -> Alarm:
         alarm = next((a for a in self.open if a.key == key), None)
         if alarm is None:
@@ -57,9 +63,24 @@ class Alarms:
         for name, value in facts.items():
             setattr(alarm, name, value)
         alarm.at_s, alarm.times_n, alarm.title = time.time(), alarm.times_n + 1, title
-        self.all = [alarm, *self.all][:KEPT_N]
+        self.all = [alarm, *self.all]
+        while len(self.all) > KEPT_N:
+            self._shorten()
         self._keep()
         return alarm
+
+    def _shorten(self) -> None:
+        """Forget the oldest acknowledged alarm; where there is none, let one alarm stand for the two oldest."""
+        acknowledged = [alarm for alarm in self.all if alarm.acknowledged_s is not None]
+        if acknowledged:
+            self.all.remove(acknowledged[-1])
+            return
+        newer, oldest = self.all[-2:]
+        level: Level = "stop" if "stop" in {newer.level, oldest.level} else "warning"
+        earlier_n = 1 + (oldest.times_n if oldest.key == EARLIER else 1)
+        both = Alarm(oldest.number, EARLIER, level, "Earlier alarms", at_s=newer.at_s, times_n=earlier_n)
+        both.detail, both.remedy = "More than the page keeps one by one.", "The history and the log have each of them."
+        self.all[-2:] = [both]
 
     def acknowledge(self, number: int) -> bool:
         """Acknowledge an alarm on a person's behalf; False if there is no such alarm."""

@@ -11,6 +11,7 @@ from service.decision.controllers import Command
 from service.web.page.sentences import shift, sure
 
 GHOSTS_N = 24
+ANSWERED = {"no_decision", "refused"}  # a person has to read why: shown until the next attempt
 
 
 @dataclass(slots=True)
@@ -19,7 +20,8 @@ class Running:
 
     ``ghosts`` are poses drawn from the belief, evenly by probability: the closer together, the more certain. ``target``
     is the destination of the move. ``afresh_n``: number of regrasps, after ``earlier_n`` attempts in all, which
-    ``attempt`` includes. ``depth_mm``: below the start of the descent.
+    ``attempt`` includes; ``descended_n``: all those that went down, once it has ended. ``depth_mm``: below the start of
+    the descent.
     """
 
     insertion_id: str
@@ -28,6 +30,7 @@ class Running:
     attempt: int = 0
     afresh_n: int = 0
     earlier_n: int = 0
+    descended_n: int = 0
     object: str = ""
     gap_width_mm: float | None = None
     width_mm: float | None = None
@@ -40,10 +43,9 @@ class Running:
     problem: str = ""
 
     def goes_on(self, insertion_id: str) -> "Running":
-        """The insertion that continues with this one's object; an unarmed attempt does not count."""
-        tried_n = self.attempt - 1
-        again = replace(self, insertion_id=insertion_id, phase="start", attempt=tried_n, problem="", depth_mm=None)
-        again.afresh_n, again.earlier_n = self.afresh_n + 1, tried_n
+        """The insertion that continues with this one's object; an attempt that did not go down does not count."""
+        again = replace(self, insertion_id=insertion_id, phase="start", problem="", depth_mm=None)
+        again.afresh_n, again.attempt, again.earlier_n = self.afresh_n + 1, self.descended_n, self.descended_n
         return again
 
     def from_client(self, message: Any) -> None:
@@ -67,7 +69,7 @@ class Running:
     def robot(self, sample: wire.RobotSample) -> None:
         if sample.phase in {"inserted", "failed"}:
             return
-        self.phase = sample.phase
+        self.phase = self.phase if self.phase in ANSWERED else sample.phase
         self.width_mm = sample.width_mm if sample.width_mm is not None else self.width_mm
         self.depth_mm = sample.depth_mm if sample.depth_mm is not None else self.depth_mm
 

@@ -4,15 +4,16 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 from service.contract import FINGERS, wire
+from service.contract.replies import descended_n
 from service.contract.words.causes import CAUSES
 from service.observability.hub import Hub
-from service.recordings.listing import list_recordings
 from service.session.station import Station
 from service.web.page.alarms import FILE, Alarms
+from service.web.page.past import Last, newest
 from service.web.page.running import Running
 from service.web.page.sentences import CHARTS, PHASES, changed, ended, event, versions
 
@@ -20,20 +21,6 @@ EVENTS_N = 30
 AFRESH_S = 90.0  # the trip to the fixture and back takes about 17 s in the simulated cell
 SHOWN_ALARMS_N = 20
 CAMERA_REMEDY = "Check cable and power of that finger. It comes back by itself."
-
-
-@dataclass(frozen=True, slots=True)
-class Last:
-    """How the last insertion ended; ``seconds``: its duration, None if not recorded."""
-
-    insertion_id: str
-    outcome: str
-    cause: str | None
-    words: str
-    attempts: int
-    object: str
-    at_s: float | None
-    seconds: float | None = None
 
 
 class Status:
@@ -44,9 +31,8 @@ class Status:
         self._alarms = Alarms(station.settings.recordings / FILE)
         self._lock = threading.Lock()
         self._running: Running | None = None
-        self._put_back: Running | None = None  # its object is being taken to a regrasp
         self._continues: str | None = None
-        self._last = _newest(station)
+        self._last, self._put_back = newest(station.settings.recordings)  # the latter: on its way to a regrasp
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_N)
         self.changes_n = 0
         self._note_interrupted()
@@ -73,10 +59,15 @@ class Status:
         hub.subscribe(on_event)
 
     def _note_interrupted(self) -> None:
-        """Raise an alarm for an insertion interrupted by a crash of the service: its end is unknown."""
+        """Raise an alarm for an insertion interrupted by a crash of the service: its end is unknown.
+
+        An insertion that has its alarm gets no second one, at however many starts it is the last.
+        """
         last = self._last
         key = f"insertion {last.insertion_id}" if last else ""
-        if last and last.outcome == "interrupted" and not any(alarm.key == key for alarm in self._alarms.all):
+        if any(alarm.key == key for alarm in self._alarms.all):
+            self._put_back = None
+        elif last and last.outcome == "interrupted":
             detail, remedy = "The service ended during it.", "Look where the object is; start a new insertion."
             named = last.insertion_id
             self._alarms.sound(key, "stop", "An insertion broke off", detail=detail, remedy=remedy, insertion_id=named)
@@ -131,6 +122,7 @@ class Status:
         self._last = Last(
             message.insertion_id, message.outcome, cause, words, attempts_n, running.object, now_s, took_s
         )
+        running.descended_n = running.earlier_n + descended_n(cause, message.attempts, message.doubts)
         self._running, self._put_back = None, running if cause == "afresh" else None
         if cause is not None and message.outcome != "aborted":
             detail = "; ".join(doubt.detail for doubt in message.doubts) or running.problem
@@ -181,7 +173,8 @@ class Status:
             self._note_overdue()
             if health["recording"] and not any(a.key == "recording" for a in self._alarms.all[:1]):
                 self._alarms.sound("recording", "warning", "Insertions are not recorded", detail=health["recording"])
-            alarms = [asdict(alarm) | {"active": self._is_active(alarm.key)} for alarm in self._alarms.all]
+            listed = self._alarms.shown(SHOWN_ALARMS_N)
+            alarms = [asdict(alarm) | {"active": self._is_active(alarm.key)} for alarm in listed]
             running, last = self._running, self._last
             shown = running and asdict(running) | {
                 "attempts_max": wire.MAX_ATTEMPTS,
@@ -192,7 +185,7 @@ class Status:
                 "headline": self._headline(health),
                 "running": shown,
                 "last": asdict(last) if last else None,
-                "alarms": alarms[:SHOWN_ALARMS_N],
+                "alarms": alarms,
                 "open_alarms_n": len(self._alarms.open),
                 "events": list(self._events)[::-1],
                 "health": health,
@@ -240,7 +233,7 @@ class Status:
             return any(finger == name and self._station.cameras[finger].state != "live" for finger in FINGERS)
         if what == "drift":
             return self._station.manager.charts.level(name) >= 1.0
-        return what == "recording" and bool(self._station.recording_problem)
+        return what == "recording" and bool(self._station.manager.unrecorded)
 
     def _health(self) -> dict[str, Any]:
         station = self._station
@@ -249,20 +242,9 @@ class Status:
             "ready": station.ready,
             "cameras": {f: station.cameras[f].entry.model_dump() for f in FINGERS},
             "driver": active.session.insertion_id if active else None,
-            "recording": station.recording_problem,
+            "recording": station.manager.unrecorded,
             "frames_dropped_n": station.counters.frames_dropped_n,
             "insertions_n": station.manager.opened_n,
             "versions": versions(station.versions.state()),
             "versions_problem": station.versions.problem,
         }
-
-
-def _newest(station: Station) -> Last | None:
-    """How the last insertion before this start of the service ended."""
-    listed, _ = list_recordings(station.settings.recordings, most_n=1)
-    if not listed:
-        return None
-    newest = listed[0]
-    outcome, cause, attempts_n, named = (newest[key] for key in ("outcome", "cause", "attempts", "object"))
-    words = ended(outcome, cause, attempts_n, named or "")
-    return Last(newest["insertion_id"], outcome, cause, words, attempts_n, named or "", None, newest["seconds"])

@@ -11,6 +11,7 @@ from service.cameras.capture import now_ns
 from service.contract import ContractError, wire
 from service.contract.replies import beat
 from service.contract.wire import ServiceMessage
+from service.observability.hub import Hub
 from service.session.station import Station
 from service.web.access import Access
 from service.web.closing import (
@@ -32,10 +33,13 @@ log = structlog.get_logger()
 
 
 class Connection:
-    """One client's WebSocket: messages from any thread go out in order; a client that does not read is cut off."""
+    """One client's WebSocket: messages from any thread go out in order; a client that does not read is cut off.
 
-    def __init__(self, socket: WebSocket) -> None:
-        self._socket = socket
+    ``hub`` gets the code of a fatal fault as ``turned_away``: a client that is refused opens no insertion to count.
+    """
+
+    def __init__(self, socket: WebSocket, hub: Hub) -> None:
+        self._socket, self._hub = socket, hub
         self._loop = asyncio.get_running_loop()
         self._waiting: asyncio.Queue[tuple[str, Ending | None]] = asyncio.Queue(MAX_WAITING)
         self._overrun = asyncio.Event()
@@ -43,6 +47,8 @@ class Connection:
 
     def send(self, message: ServiceMessage) -> None:
         """Queue a message; may be called from any thread."""
+        if isinstance(message, wire.Fault) and message.fatal:
+            self._hub.publish("turned_away", message.code)
         text, ending = message.model_dump_json(), ending_of(message)
         with contextlib.suppress(RuntimeError):  # the loop is gone: so is the client
             self._loop.call_soon_threadsafe(self._put, text, ending)
@@ -92,6 +98,7 @@ def router(station: Station, access: Access) -> APIRouter:
     @routes.websocket("/v1/insertions/ws")
     async def insertion(socket: WebSocket) -> None:
         if not await access.admit(socket, "watch"):
+            station.hub.publish("turned_away", "forbidden")
             return
         await socket.accept()
         if access.allows(socket, "drive"):
@@ -102,7 +109,7 @@ def router(station: Station, access: Access) -> APIRouter:
                     await converse(socket)
 
     async def converse(socket: WebSocket) -> None:
-        connection = Connection(socket)
+        connection = Connection(socket, station.hub)
         ending = Ending(GOING_AWAY, "the service stops")
         try:
             serving = _serve(socket, connection, station, access)

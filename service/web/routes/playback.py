@@ -1,4 +1,4 @@
-"""Looking at a finished insertion under /v1/recordings: its curves, its moments, and what it would decide today."""
+"""Looking at a finished insertion under /v1/recordings: its curves, its moments, and whether it is decided the same."""
 
 import asyncio
 import os
@@ -9,6 +9,7 @@ from typing import Any
 from fastapi import APIRouter, HTTPException
 
 from service.contract import Finger
+from service.recordings.need import needed
 from service.recordings.writer import FINAL
 from service.session.station import Station
 from service.web.access import Access
@@ -16,6 +17,7 @@ from service.web.page.playback import moment, timeline
 from service.web.routes.recordings import recording_folder
 
 AGAIN_S = 120.0
+MOST_AGAIN_BYTES = 320_000_000  # about 780 pictures: beside the service, within the memory that its unit is given
 
 
 def router(station: Station, access: Access) -> APIRouter:
@@ -40,12 +42,20 @@ def router(station: Station, access: Access) -> APIRouter:
 
     @routes.post("/decide")
     async def decide_again(name: str) -> dict[str, Any]:
-        """Decide the whole insertion again with the networks that are loaded now, in a process of its own."""
+        """Decide the whole insertion again, in a process of its own, with the networks that decided it.
+
+        They must be loaded: active, beside, or released; otherwise ``same`` is null and the answer names them. 422 if
+        the recording, with its pictures decoded, fills more than 320 MB.
+        """
         path = file_of(name)
         if station.active is not None or deciding.locked():
             raise HTTPException(409, "busy: an insertion is under way, or another one is being decided again")
         async with deciding:
-            return await _replayed(path, station.settings.models)
+            need = await asyncio.to_thread(needed, path)
+            if need.bytes_n > MOST_AGAIN_BYTES:
+                raise HTTPException(422, _too_large(need.bytes_n))
+            models = station.versions.with_hashes(need.networks)
+            return await _replayed(path, models.steps[0].path.parent)
 
     return routes
 
@@ -65,6 +75,11 @@ async def _replayed(path: Path, models: Path) -> dict[str, Any]:
         raise HTTPException(504, f"not decided again within {AGAIN_S:g} s") from None
     same = {0: True, 1: False}.get(process.returncode if process.returncode is not None else -1)
     return {"same": same, "lines": output.decode(errors="replace").splitlines()[-20:]}
+
+
+def _too_large(bytes_n: int) -> str:
+    sizes = f"fills {bytes_n / 1e6:.0f} MB, and at most {MOST_AGAIN_BYTES / 1e6:.0f} MB are taken from this machine"
+    return f"the recording {sizes}: download it and use `tactile-insertion replay` on another one"
 
 
 def _politely() -> None:

@@ -3,13 +3,13 @@
 import asyncio
 import shutil
 from pathlib import Path
-from typing import Any
 
-from fastapi import APIRouter, HTTPException
+from fastapi import APIRouter, HTTPException, Response
 from fastapi.responses import FileResponse
 from pydantic import BaseModel
+from pydantic_core import to_json
 
-from service.recordings.listing import Summary, list_recordings
+from service.recordings.listing import Summary, each_recording
 from service.recordings.writer import FINAL, NAME
 from service.session.station import Station
 from service.web.access import Access
@@ -18,13 +18,15 @@ from service.web.access import Access
 class Listed(Summary):
     """A finished insertion with its folder's name and when it began (UTC).
 
-    ``intervals_held_n`` of ``intervals_n`` 90 % intervals held what turned out to be true.
+    ``intervals_held_n`` of ``intervals_n`` 90 % intervals held what turned out to be true; ``descended_n`` of its
+    ``attempts`` went down.
     """
 
     name: str
     started: str
     intervals_held_n: int
     intervals_n: int
+    descended_n: int
 
 
 class Recordings(BaseModel):
@@ -48,15 +50,21 @@ def recording_folder(root: Path, name: str) -> Path:
     return folder
 
 
+def _list(root: Path) -> bytes:
+    """Recordings as JSON, in steps of one: all at once would keep every other thread waiting meanwhile."""
+    problems: list[str] = []
+    listed = b",".join(to_json(one, inf_nan_mode="null") for one in each_recording(root, problems))
+    return b'{"recordings":[%b],"problems":%b}' % (listed, to_json(problems))
+
+
 def router(station: Station, access: Access) -> APIRouter:
     routes = APIRouter(prefix="/v1/recordings", tags=["recordings"])
     watch, admin = [access.require("watch")], [access.require("admin")]
     root = station.settings.recordings
 
     @routes.get("", dependencies=watch, response_model=Recordings)
-    async def recordings() -> dict[str, Any]:
-        listed, problems = await asyncio.to_thread(list_recordings, root)
-        return {"recordings": listed, "problems": problems}
+    async def recordings() -> Response:
+        return Response(await asyncio.to_thread(_list, root), media_type="application/json")
 
     @routes.get("/{name}", dependencies=watch, response_class=Mcap)
     async def recording(name: str) -> Mcap:

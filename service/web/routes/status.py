@@ -14,7 +14,7 @@ def router(status: Status, access: Access) -> APIRouter:
 
     @routes.get("/status", dependencies=watch)
     def snapshot() -> dict[str, Any]:
-        """What is going on, how the last insertion ended, and all alarms, newest first."""
+        """What is going on, how the last insertion ended, and the alarms: unacknowledged ones first, all of them."""
         return status.snapshot()
 
     @routes.post("/alarms/{number}/acknowledge", dependencies=watch)

@@ -204,4 +204,7 @@ def test_a_full_disk_is_said_while_it_is_full_and_the_insertion_ends_as_it_shoul
         answer = httpx.get(service.url("/v1/recordings")).json()
         assert len(answer["recordings"]) + len(answer["problems"]) == 1
         limited(service, resource.RLIM_INFINITY)
+        assert httpx.get(service.url("/readyz")).json()["recording"] == "ok", "the next one can be recorded"
+        assert metric(service.url("/metrics"), "tactile_recording_ok") == 0.0, "the last one was not"
+        assert "File too large" in httpx.get(service.url("/v1/status")).json()["health"]["recording"]
     assert "File too large" in "".join(service.log)

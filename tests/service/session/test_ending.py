@@ -7,9 +7,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from service.contract import FINGERS, wire
+from service.cameras.capture import CameraFrame
+from service.contract import FINGERS, TactileFrame, wire
 from service.decision.models import ModelSet, load_models
 from service.observability.hub import Hub
 from service.session import manager as under_test
@@ -140,7 +142,8 @@ def test_an_insertion_that_cannot_be_recorded_is_made_all_the_same_counted_and_n
     assert cell.client.connect("one").type == "hello"
     assert cell.manager.active is not None
     assert cell.manager.active.session.recording is None
-    assert cell.manager.recording_problem.startswith(f"cannot record into {tmp_path / 'r'}: ")
+    assert cell.manager.unrecorded.startswith(f"cannot record into {tmp_path / 'r'}: ")
+    assert cell.manager.recording_problem == f"the folder {tmp_path / 'r'} is missing"
     assert (cell.manager.unrecorded_n, cell.kinds) == (1, ["error", "client", "message"])
     cell.manager.abort("operator", "done")
     wait_for_recorders()
@@ -148,10 +151,11 @@ def test_an_insertion_that_cannot_be_recorded_is_made_all_the_same_counted_and_n
     (tmp_path / "r").mkdir()
     cell.client.connect("two")
     assert cell.manager.active.session.recording is not None
-    assert cell.manager.recording_problem != "", "until one has been recorded completely"
+    assert cell.manager.recording_problem == "", "the cause has gone"
+    assert cell.manager.unrecorded != "", "until one has been recorded completely"
     cell.manager.abort("operator", "done")
     wait_for_recorders()
-    assert (cell.manager.recording_problem, cell.manager.unrecorded_n) == ("", 1)
+    assert (cell.manager.unrecorded, cell.manager.unrecorded_n) == ("", 1)
 
 
 def test_a_recording_that_broke_is_named_while_and_after_it_is_written(cell: Cell) -> None:
@@ -162,8 +166,29 @@ def test_a_recording_that_broke_is_named_while_and_after_it_is_written(cell: Cel
     assert cell.manager.recording_problem == "no space left"
     cell.manager.abort("operator", "done")
     wait_for_recorders()
-    assert cell.manager.recording_problem.endswith(": no space left")
-    assert [content for kind, content in cell.events if kind == "error"] == [cell.manager.recording_problem]
+    assert cell.manager.recording_problem == "", "nothing is in the way of the next one"
+    assert cell.manager.unrecorded.endswith(": no space left")
+    assert [content for kind, content in cell.events if kind == "error"] == [cell.manager.unrecorded]
+
+
+def test_frames_that_were_left_out_are_counted_and_named(cell: Cell) -> None:
+    cell.client.connect("one")
+    recorder = cell.manager.active.recorder  # type: ignore[union-attr]
+    recorder.largest_bytes = 1  # type: ignore[union-attr]
+    noise = np.random.default_rng(0).integers(0, 255, (320, 427, 3), np.uint8)
+    for number in range(3):
+        recorder.frame(CameraFrame(TactileFrame("left", number, number + 1, noise), None))  # type: ignore[union-attr]
+    cell.manager.abort("operator", "done")
+    wait_for_recorders()
+    lacks = "3 frames and observations were left out: the file reached its limit of 0 MB"
+    assert cell.manager.unrecorded.endswith(f": {lacks}")
+    assert (cell.manager.unrecorded_n, cell.manager.frames_unrecorded_n, cell.manager.recording_problem) == (1, 3, "")
+    summary = json.loads((recorder.folder / "summary.json").read_text())  # type: ignore[union-attr]
+    assert summary["problem"] == lacks
+    cell.client.connect("two")
+    cell.manager.abort("operator", "done")
+    wait_for_recorders()
+    assert (cell.manager.unrecorded, cell.manager.unrecorded_n) == ("", 1)
 
 
 def test_recordings_may_fill_as_many_gigabytes_as_are_set(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:

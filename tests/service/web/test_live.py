@@ -1,5 +1,6 @@
 import gc
 import json
+import re
 import statistics
 import time
 import weakref
@@ -8,6 +9,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+from websockets.sync.client import connect
 
 from service.contract import wire
 from tests.service.client import Driver
@@ -80,6 +82,30 @@ def test_only_one_client_drives_and_others_watch(live: LiveService) -> None:
         for client in (driver, second, watcher):
             if client:
                 client.close()
+
+
+def refused_n(live: LiveService) -> dict[str, float]:
+    """How many clients were refused so far, by why."""
+    line = r'^tactile_clients_refused_total{code="(\w+)"} (\S+)$'
+    return {code: float(n) for code, n in re.findall(line, httpx.get(live.url("/metrics")).text, re.MULTILINE)}
+
+
+def test_a_client_that_is_turned_away_is_counted_by_why(live: LiveService) -> None:
+    before = refused_n(live)
+    driver = Driver(live, "driving")
+    driver.until("hello")
+    for code, hello in {"busy": {}, "protocol_version": {"protocol": 1}}.items():
+        other = Driver(live, "other", **hello)
+        assert other.receive().code == code
+        other.close()
+    with connect(live.url("/v1/insertions/ws", "ws")) as nobody:
+        nobody.send(wire.ClientHello(insertion_id="other", client="test").model_dump_json())
+        assert wire.parse_service(nobody.recv(20)).code == "forbidden"
+    driver.send(wire.Abort(insertion_id="driving", cause="operator", reason="done"))
+    driver.until("finished")
+    driver.close()
+    changed = {code: n - before[code] for code, n in refused_n(live).items() if n != before[code]}
+    assert changed == {"busy": 1, "protocol_version": 1, "forbidden": 1}
 
 
 def test_garbage_is_answered_by_a_fault_and_the_insertion_goes_on(live: LiveService) -> None:

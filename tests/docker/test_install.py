@@ -1,0 +1,46 @@
+"""The installer of the bundle, run on a small bundle; the commands that would change this machine are written down."""
+
+import hashlib
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.docs.commands import ROOT
+
+NOTE = '#!/bin/sh\necho "$(basename "$0") $* [$(cat "$PREFIX/app/version")]" >>"$CALLS"\n'
+
+
+@pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    """A bundle without wheels, next to an installed version."""
+    bundle = tmp_path / "bundle"
+    files = {"app/requirements/run.txt": "", "app/version": "new", "tactile-insertion@.service": "", "wheels/none": ""}
+    for name, text in files.items():
+        (bundle / name).parent.mkdir(parents=True, exist_ok=True)
+        (bundle / name).write_text(text)
+    sums = [f"{hashlib.sha256(text.encode()).hexdigest()}  {name}\n" for name, text in files.items()]
+    (bundle / "SHA256SUMS").write_text("".join(sums))
+    (bundle / "install.sh").write_bytes((ROOT / "docker" / "install.sh").read_bytes())
+    (tmp_path / "prefix" / "app").mkdir(parents=True)
+    (tmp_path / "prefix" / "app" / "version").write_text("old")
+    return bundle
+
+
+def installed(bundle: Path) -> list[str]:
+    """Install it; the changes that it asked of the machine, each with the version installed at that moment."""
+    home = bundle.parent
+    for command in ("systemctl", "useradd", "install", "id"):
+        (home / command).write_text(NOTE)
+        (home / command).chmod(0o755)
+    calls, prefix = home / "calls", home / "prefix"
+    paths = {"PATH": f"{home}:{os.environ['PATH']}", "CALLS": str(calls), "PREFIX": str(prefix)}
+    subprocess.run(["sh", bundle / "install.sh", "--prefix", prefix], env=os.environ | paths, check=True)
+    return calls.read_text().splitlines()
+
+
+def test_an_upgrade_restarts_the_services_that_run_once_the_new_version_lies_there(bundle: Path) -> None:
+    calls = [call for call in installed(bundle) if call.startswith("systemctl")]
+    assert calls == ["systemctl daemon-reload [new]", "systemctl try-restart tactile-insertion@* [new]"]
+    assert (bundle.parent / "prefix" / "app.old" / "version").read_text() == "old"

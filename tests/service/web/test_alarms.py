@@ -1,0 +1,47 @@
+"""Alarms: however many come while nobody looks, a person reaches and acknowledges each of them."""
+
+from pathlib import Path
+
+import httpx
+
+from service.contract import wire
+from service.web.page.alarms import EARLIER, KEPT_N, Alarms
+from service.web.page.status import SHOWN_ALARMS_N, Status
+from tests.service.client import Driver
+from tests.service.conftest import LiveService
+from tests.service.web.test_status import status, until
+
+
+def lose_a_part(live: LiveService, name: str) -> None:
+    driver = Driver(live, name)
+    driver.until("hello")
+    driver.send(wire.Abort(insertion_id=name, cause="part_lost", reason="gripper: part_lost"))
+    driver.until("finished")
+    driver.close()
+
+
+def test_more_failures_than_the_page_lists_are_all_acknowledged_one_after_the_other(live: LiveService) -> None:
+    lost_n = SHOWN_ALARMS_N + 2
+    for number in range(lost_n):
+        lose_a_part(live, f"lost-{number}")
+    shown = until(live, lambda shown: shown["open_alarms_n"] == lost_n)
+    assert [alarm["acknowledged_s"] for alarm in shown["alarms"]] == [None] * lost_n
+    assert Status(live.station).snapshot()["open_alarms_n"] == lost_n, "a restart forgets none"
+    while shown["headline"]["level"] == "stop":
+        first = next(alarm for alarm in shown["alarms"] if alarm["acknowledged_s"] is None)
+        httpx.post(live.url(f"/v1/alarms/{first['number']}/acknowledge")).raise_for_status()
+        shown = status(live)
+    assert shown["open_alarms_n"] == 0
+    assert len(shown["alarms"]) == SHOWN_ALARMS_N
+
+
+def test_the_oldest_of_too_many_unacknowledged_alarms_become_one_that_counts_them(tmp_path: Path) -> None:
+    alarms = Alarms(tmp_path / "alarms.json")
+    alarms.sound("camera left", "warning", "Left camera lost")
+    for number in range(KEPT_N + 5):
+        alarms.sound(f"insertion {number}", "stop", "Holding: all attempts used")
+    earlier = Alarms(tmp_path / "alarms.json").open[-1]
+    assert (len(alarms.open), earlier.key, earlier.level, earlier.times_n) == (KEPT_N, EARLIER, "stop", 7)
+    assert alarms.acknowledge(earlier.number)
+    alarms.sound("insertion next", "stop", "Holding: all attempts used")
+    assert [alarm.key for alarm in alarms.open][::49] == ["insertion next", "insertion 6"], "only the acknowledged goes"

@@ -1,0 +1,58 @@
+"""Deciding a recorded insertion again, from the page or the API: with which networks, and how large a one."""
+
+from pathlib import Path
+
+import httpx
+import pytest
+
+from service.contract import wire
+from service.recordings.need import needed
+from service.recordings.reader import Recording
+from tests.service import tiny_models
+from tests.service.client import Driver
+from tests.service.conftest import LiveService, live_service
+from tests.service.versions.test_live import ask, insert
+
+
+def decided_again(live: LiveService, path: Path) -> httpx.Response:
+    return httpx.post(live.url(f"/v1/recordings/{path.parent.name}/decide"), timeout=120)
+
+
+def test_the_version_that_decided_an_insertion_decides_it_again(tmp_path: Path) -> None:
+    with live_service(tmp_path, tiny_models.write_models(tmp_path / "models")) as live:
+        shadow = tiny_models.write_models(tmp_path / "shadow", git_commit="1" * 40)
+        _, released = insert(live, "released")
+        assert ask(live, "POST", "/shadow", folder=str(shadow)).is_success
+        assert ask(live, "POST", "/promote").is_success
+        _, promoted = insert(live, "promoted")
+        for path in (promoted, released):
+            again = decided_again(live, path).json()
+            assert again["same"] is True, again
+
+
+def test_a_recording_with_too_many_pictures_is_refused(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(live, "first")
+    driver.until("hello")
+    driver.attempt(1)
+    driver.send(wire.Abort(insertion_id="first", cause="afresh", reason="turned_in_hand"))
+    first = Path(driver.until("finished").recording)
+    driver.close()
+    again = Driver(live, "second", continues="first")
+    again.until("hello")
+    assert again.insert(1).outcome == "inserted"
+    again.close()
+    (second,) = live.recordings.glob("*_second/insertion.mcap")
+    files = sum(path.stat().st_size for path in (first, second))
+    pictures = sum(
+        frame.pixels.nbytes
+        for recording in map(Recording, (first, second))
+        for finger in ("left", "right")
+        for frame in recording.frames(finger).values()
+    )
+    assert needed(second).bytes_n == files + pictures, "those of the insertion before are read, too"
+    monkeypatch.setattr("service.web.routes.playback.MOST_AGAIN_BYTES", files + pictures - 1)
+    refused = decided_again(live, second)
+    assert refused.status_code == 422
+    assert "on another one" in refused.json()["error"]
+    monkeypatch.undo()
+    assert decided_again(live, second).json()["same"] is True

@@ -1,0 +1,48 @@
+"""The playback in a real Chromium: what belongs to one recording never shows up in another."""
+
+from typing import Any
+
+import pytest
+
+from tests.service.conftest import LiveService
+from tests.service.web import test_dashboard
+from tests.service.web.test_dashboard import give_up, insertion, wait_until
+
+browser, page, pytestmark = test_dashboard.browser, test_dashboard.page, test_dashboard.pytestmark
+PLAYED = "document.querySelectorAll('#curves canvas').length === 3"
+
+
+@pytest.fixture
+def moments(page: Any) -> list[str]:
+    """The addresses of all moments that the page asks for."""
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url) if "/moments/" in request.url else None)
+    return asked
+
+
+def test_an_answer_that_comes_late_is_not_shown_in_the_recording_opened_since(
+    live: LiveService, page: Any, moments: list[str]
+) -> None:
+    for name in ("late", "prompt"):
+        driver = insertion(live, name)
+        driver.attempt(1)
+        give_up(driver)
+    held: list[Any] = []
+    page.route("**/*_late/timeline", lambda route: held.append(route))  # noqa: PLW0108 - a method of a list takes no mark
+    page.goto(live.url("/#history"))
+    page.get_by_label("play back late", exact=True).click()
+    while not held:
+        page.wait_for_timeout(30)
+    page.locator("#close").click()
+    page.get_by_label("play back prompt", exact=True).click()
+    wait_until(page, PLAYED)
+    wait_until(page, "document.getElementById('right-then-state').textContent !== ''")
+    held[0].continue_()
+    page.wait_for_timeout(1000)
+    page.locator("#scrub").focus()
+    page.keyboard.press("End")
+    wait_until(page, "!document.getElementById('then').textContent.startsWith('0.00 s')")
+    page.wait_for_timeout(500)
+    assert page.evaluate(PLAYED)
+    assert {url.split("/moments/")[0].rpartition("_")[2] for url in moments} == {"prompt"}
+    assert page.problems == []

@@ -1,0 +1,93 @@
+"""An object that is put back and regrasped, as the page counts and tells it, also over a restart of the service."""
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from service.contract import wire
+from service.recordings.listing import list_recordings
+from service.web.page.past import newest
+from service.web.page.status import Status
+from tests.service.client import Driver
+from tests.service.conftest import LiveService
+from tests.service.web.test_status import arm, give_up
+
+DOUBT = wire.Doubt(reason="moved_in_hand", detail="it turned on its way in")
+REGRASPED = {"level": "busy", "words": "It had turned in the hand and is regrasped"}
+
+
+def put_back(live: LiveService, name: str, **hello: Any) -> None:
+    """An insertion of two attempts, the second one refused before the descent."""
+    driver = Driver(live, name, **hello)
+    driver.until("hello")
+    driver.attempt(1)
+    arm(driver, 2)
+    give_up(driver, "afresh", "service: refused: turned_in_hand: by about 1.4 deg")
+
+
+def headline(status: Status) -> dict[str, str]:
+    return {key: status.snapshot()["headline"][key] for key in ("level", "words")}
+
+
+def wait_for(status: Status, expected: dict[str, str]) -> None:
+    """The page hears after the client."""
+    deadline = time.monotonic() + 60
+    while headline(status) != expected:
+        assert time.monotonic() < deadline, headline(status)
+        time.sleep(0.05)
+
+
+def test_a_restart_while_the_object_is_on_its_way_is_told_as_what_it_is(live: LiveService) -> None:
+    put_back(live, "first")
+    put_back(live, "second", continues="first")
+    restarted = Status(live.station)
+    assert headline(restarted) == REGRASPED
+    third = Driver(live, "third", continues="second")
+    third.until("hello")
+    arm(third, 1)
+    wait_for(restarted, {"level": "busy", "words": "Attempt 3 of 15: ready to go down"})
+    give_up(third, "operator", "done")
+    wait_for(restarted, {"level": "good", "words": "Ready for the next object"})
+    assert restarted.snapshot()["last"]["attempts"] == 3
+
+
+def test_a_restart_long_after_nothing_went_on_sounds_once(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
+    put_back(live, "left")
+    monkeypatch.setattr("service.web.page.status.AFRESH_S", 0.0)
+    holding = {"level": "stop", "words": "Holding: the object was to be regrasped"}
+    restarted = Status(live.station)
+    assert headline(restarted) == holding
+    (alarm,) = [alarm for alarm in restarted.snapshot()["alarms"] if alarm["insertion_id"] == "left"]
+    assert restarted.acknowledge(alarm["number"])
+    assert headline(Status(live.station)) == {"level": "good", "words": "Ready for the next object"}
+
+
+def ended(root: Path, second: int, **facts: Any) -> None:
+    folder = root / f"20260101T0000{second:02d}_{facts['insertion_id']}"
+    folder.mkdir()
+    (folder / "summary.json").write_text(json.dumps({"outcome": "aborted", "cause": "afresh", **facts}))
+
+
+def test_an_attempt_that_went_down_counts_although_the_object_is_taken_afresh(tmp_path: Path) -> None:
+    ended(tmp_path, 1, insertion_id="a", attempts=1, doubts=[DOUBT.model_dump()])
+    ended(tmp_path, 2, insertion_id="b", attempts=2, continues="a")
+    assert [one["descended_n"] for one in list_recordings(tmp_path)[0]] == [1, 1]
+    put = newest(tmp_path)[1]
+    assert put is not None
+    assert (put.descended_n, put.goes_on("c").attempt, put.goes_on("c").afresh_n) == (2, 2, 2)
+
+
+def test_the_page_counts_a_doubted_attempt(live: LiveService) -> None:
+    status, publish = Status(live.station), live.station.hub.publish
+    opened = {"models": (), "cameras": (), "controller": "belief", "limits": live.station.settings.limits}
+    publish("message", wire.ServiceHello(insertion_id="a", **opened))
+    publish("message", wire.Finished(insertion_id="a", outcome="aborted", attempts=1, cause="afresh", doubts=(DOUBT,)))
+    publish("client", wire.ClientHello(insertion_id="b", client="test", continues="a"))
+    publish("message", wire.ServiceHello(insertion_id="b", **opened))
+    publish("message", wire.Finished(insertion_id="b", outcome="inserted", attempts=1))
+    assert status.snapshot()["last"]["words"] == "Object inserted after 2 attempts, regrasped once"
+    assert httpx.get(live.url("/v1/status")).json()["last"]["attempts"] == 2
