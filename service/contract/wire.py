@@ -84,8 +84,7 @@ class ClientHello(_Message):
     """First message. A client of ``role`` watch receives everything and may send only heartbeats.
 
     ``continues``: the insertion whose object was regrasped, see `Refused`. ``takes_afresh``: the client can regrasp.
-    ``most_tilt_deg``: how far it may be asked to `Straighten`; 0 if never, as in a cell whose signs nobody has checked.
-    ``purpose``: see `Episode`; where nothing is to be inserted, an object may hang in the hand as it likes.
+    ``most_tilt_deg``: how far it may be asked to `Straighten`; 0 where nobody has checked the signs.
     """
 
     type: Literal["hello"] = "hello"
@@ -110,12 +109,11 @@ class LearnOpen(_Message):
 class Arm(_Message):
     """The arm stands still above the gap and holds the object: take the reference and watch for slip.
 
-    ``grasp_height_mm`` is the height of the TCP above the blocks' top faces when the object touches them, the lever arm
-    of the edge's friction; None if unknown. ``gripper_width_mm`` is the distance between the fingers; None if the
-    gripper does not report it. ``grip_n`` is their force, ``shear_reach_mm`` how far the gel shears before it slides.
-    ``press_mm`` is how far to press after the touch. ``until_slip``: press on until the gel slides, to measure it.
-    ``tilt_deg`` is the tool's tilt now, see `Straighten`. ``tops_level_mm``: by how much the tops on both sides of the
-    gap may differ; None if unknown, or if nobody has checked the fingers' signs.
+    ``grasp_height_mm``: height of the TCP above the blocks' tops when the object touches them, the lever arm of the
+    edge's friction; None if unknown. ``gripper_width_mm``: between the fingers; None if the gripper does not report it.
+    ``grip_n``: their force. ``shear_reach_mm``: how far the gel shears before it slides. ``press_mm``: how far to press
+    after the touch. ``until_slip``: press on until the gel slides, to measure it. ``tilt_deg``: of the tool, see
+    `Straighten`. ``tops_level_mm``: by how much the tops on both sides of the gap may differ; None if unknown.
     """
 
     type: Literal["arm"] = "arm"
@@ -133,10 +131,7 @@ class Arm(_Message):
 
 
 class Descending(_Message):
-    """A guarded descent begins or continues at ``speed_mm_s``, from ``start_mm`` below the armed pose.
-
-    ``paused_s``: it continues at the speed it had, after the arm has stood on the way for so long.
-    """
+    """A guarded descent begins or goes on: at ``speed_mm_s`` from ``start_mm`` below `arm`, or after ``paused_s``."""
 
     type: Literal["descending"] = "descending"
     attempt: Attempt

@@ -202,6 +202,7 @@ class Episode(InsertionMessage):
     ``start`` is the pose of the arm, ``approach`` the pose above the gap from which the first attempt descends. A probe
     approaches with a known error and is not meant to insert: its ``approach`` is that error. A press that times the
     cell (``timing``) begins like a probe, but with an object that earlier ones have pushed: nothing is learnt from it.
+    In the hand of either an object may hang as it likes.
     """
 
     type: Literal["episode"] = "episode"

@@ -12,9 +12,9 @@ from service.contract import Finger, FramePair, wire
 from service.contract.wire import ServiceMessage
 from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.seating import strongest_push
+from service.decision.work import arrays_of
 from service.perception.observation import Observation
 from service.recordings.writer import Recorder
-from service.session.attempt_arrays import arrays_of
 from service.session.fingers import gels_of
 from service.session.state_machine import InsertionSession, Replies, ignore
 from service.versions.beside import Beside

@@ -12,7 +12,7 @@ import numpy as np
 from reporting.files import write_durably
 from robot_client.insertion.state import State
 from service.decision.attempt import Attempt
-from service.session.attempt_arrays import read_by_depth
+from service.decision.work import read_by_depth
 from simulation.closed_loop.client import trip_s
 from simulation.closed_loop.job import Job, Outcome
 from simulation.closed_loop.play import models_of, stage

@@ -13,10 +13,18 @@ from service.decision import attempt as under_test
 from service.decision.attempt import Attempt, Stage, WorkResult, implausible_width, nothing_held
 from service.decision.controllers import Command
 from service.decision.evidence import Evidence, Refusal
-from service.decision.work import correction, decide_again, enough_message, latencies, plan_steps, plan_work
+from service.decision.work import (
+    arrays_of,
+    correction,
+    decide_again,
+    enough_message,
+    latencies,
+    plan_steps,
+    plan_work,
+    read_by_depth,
+)
 from service.perception.markers.field import empty_field
 from service.perception.observation import PairObservation
-from service.session.attempt_arrays import arrays_of, read_by_depth
 from tests.service import tiny_models
 from tests.service.decision.test_claim import descent, pair
 

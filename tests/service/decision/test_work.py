@@ -12,6 +12,7 @@ from service.contract import MarkerSpec, wire
 from service.decision.attempt import Attempt, Stage, implausible_width
 from service.decision.evidence import Evidence, Refusal
 from service.decision.work import (
+    arrays_of,
     check_evidence,
     decide_again,
     enough_message,
@@ -23,7 +24,6 @@ from service.decision.work import (
 )
 from service.perception.markers.field import empty_field
 from service.perception.observation import PairObservation
-from service.session.attempt_arrays import arrays_of
 from service.settings import Deadlines
 from tests.service import tiny_models
 from tests.service.decision.test_claim import descent, pair

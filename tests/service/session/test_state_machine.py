@@ -5,7 +5,7 @@ import pytest
 
 from service.contract import wire
 from service.decision.models import ModelSet, load_models
-from service.session.attempt_arrays import arrays_of
+from service.decision.work import arrays_of
 from service.session.factory import make_session
 from service.session.state_machine import InsertionSession
 from tests.service import drawn, tiny_models
