@@ -9,6 +9,7 @@ for evaluation.
 
 import hashlib
 import json
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -98,26 +99,43 @@ def _listed(record: Path) -> frozenset[str]:
 def _attempts(folder: Path, listed: frozenset[str] | None) -> Iterator[Attempt]:
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-        shown = [_shown(path) for path in sorted(folder.glob("attempt_*.npz"))]
-    except (OSError, ValueError, KeyError) as error:
+        shown = {int(path.stem[-2:]): _shown(path) for path in sorted(folder.glob("attempt_*.npz"))}
+        moves = _moves(summary, shown)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
     if summary.get("purpose") == "probe" and listed is not None and summary.get("insertion_id") not in listed:
         return
     first = PROBE if summary.get("purpose") == "probe" else LATER if summary.get("continues") else WORK
-    for index, (off, (inputs, _)) in enumerate(zip(_errors(summary, [move for _, move in shown]), shown, strict=False)):
+    for index, (number, off) in enumerate(zip(moves, _errors(summary, [*moves.values()]), strict=True)):
+        inputs, _ = shown.get(number, (None, None))
         if off is not None and inputs is not None:
             yield Attempt(LATER if index else first, off, *inputs, folder.name)
 
 
-def _shown(path: Path) -> tuple[tuple[NDArray[Any], NDArray[Any]] | None, tuple[float, float]]:
+Inputs = tuple[NDArray[Any], NDArray[Any]]
+Move = tuple[float, float]
+
+
+def _moves(summary: dict[str, Any], shown: dict[int, tuple[Inputs | None, Move]]) -> dict[int, Move]:
+    """The move after each attempt, by its number. The summary names all of them, also those of a lost file."""
+    if "decisions" not in summary:  # a simulated insertion
+        return {number: move for number, (_, move) in shown.items()}
+    moves: dict[int, Move] = {}
+    for decided in summary["decisions"]:
+        dx_mm, dtheta_deg = decided.get("correction") or (0.0, 0.0)
+        moves[int(decided["attempt"])] = float(dx_mm), float(dtheta_deg)
+    return moves
+
+
+def _shown(path: Path) -> tuple[Inputs | None, Move]:
     """The networks' input in an attempt, None if they read no depth, and the move that followed."""
-    with np.load(path) as stored:
+    with path.open("rb") as stream, np.load(stream) as stored:
         decision = json.loads(str(stored["decision"]))
         moves = float(decision.get("dx_mm", 0.0)), float(decision.get("dtheta_deg", 0.0))
         return ((stored["steps"], stored["conditions"]) if "steps" in stored.files else None), moves
 
 
-def _errors(summary: dict[str, Any], moves: list[tuple[float, float]]) -> list[tuple[float, float] | None]:
+def _errors(summary: dict[str, Any], moves: list[Move]) -> list[Move | None]:
     """The error of each attempt, None where it is unknown."""
     if summary.get("purpose") == "probe":
         approach = summary["approach"]

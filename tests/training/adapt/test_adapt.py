@@ -97,6 +97,28 @@ def test_errors_are_those_told_of_probes_and_the_moves_that_were_left_of_inserti
     assert read.objects.tolist() == ["probe", "work", "later", "later"]
 
 
+@pytest.mark.parametrize("lost", [0, 2, 3])
+def test_a_file_that_a_full_disk_lost_changes_no_label_of_another_attempt(tmp_path, lost):
+    rng = np.random.default_rng(0)
+    moves = [(-4.0, 3.0), (9.0, -6.0), (1.0, 0.0)]
+    decided = [{"dx_mm": x, "dtheta_deg": theta} for x, theta in moves]
+    decisions = [{"attempt": number, "correction": move} for number, move in enumerate(moves, 1)]
+    folder = tmp_path / "a"
+    shown = [(steps_of(1, 1, rng), move) for move in decided]
+    keep(folder, shown, "insert", "inserted", 5.5, -2.0, decisions=decisions)
+    (folder / f"attempt_{lost:02d}.npz").unlink(missing_ok=True)
+    errors = {1: [-6.0, 3.0], 2: [-10.0, 6.0], 3: [-1.0, 0.0]}
+    assert read_episodes(tmp_path, Sensor.load()).error.tolist() == [errors[n] for n in errors if n != lost]
+
+
+def test_a_file_that_was_cut_off_is_named(tmp_path):
+    keep(tmp_path / "a", [(steps_of(1, 1, np.random.default_rng(0)), {})], "probe", "failed", -7.0, 3.0)
+    (path,) = tmp_path.glob("a/attempt_*.npz")
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(ContractError, match="a is no recording of an insertion"):
+        read_episodes(tmp_path, Sensor.load())
+
+
 def test_of_all_probes_only_those_count_that_the_record_of_a_commissioning_lists(tmp_path):
     recorded(tmp_path / "runs", 5)
     record = tmp_path / "commissioning.json"
