@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.contract import ContractError
+from service.contract import ContractError, wire
 from service.contract.replies import unspoken
 from service.contract.wire import (
     MAX_TEXT_BYTES,
@@ -98,3 +98,10 @@ def test_garbage_is_refused(text):
         parse_client(text)
     with pytest.raises(ContractError):
         parse_service(text)
+
+
+@pytest.mark.parametrize(("sent_ns", "at_ns"), [(1 << 62, 1 << 62), (10**12, 1 << 70), (10**12, -2 * 10**18), (-1, 0)])
+def test_a_stamp_that_no_recording_could_hold_is_refused(sent_ns: int, at_ns: int) -> None:
+    sample = wire.RobotSample(at_ns=at_ns, phase="descending", attempt=1)
+    with pytest.raises(ValueError, match=r"sent_ns"):
+        wire.Telemetry(insertion_id="one", sent_ns=sent_ns, samples=(sample,))
