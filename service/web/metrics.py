@@ -16,7 +16,7 @@ from service.web.page.sentences import CHANGES
 
 _STAGE_BUCKETS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.033, 0.066, 0.13, 0.25, 0.5, 1, 2)
 
-_NEWEST_NS = 500_000_000
+_NEWEST_NS = 100_000_000
 NO_CAUSE = "none"
 TURNED_AWAY: tuple[wire.FaultCode, ...] = ("bad_message", "busy", "forbidden", "not_ready", "protocol_version")
 
@@ -80,7 +80,7 @@ class Metrics:
         return float("nan") if newest_ns is None else (now_ns() - newest_ns) * 1e-9
 
     def exposition(self) -> tuple[bytes, str]:
-        """The text Prometheus scrapes, and its content type; at most two a second are made, since each takes 1 ms."""
+        """The text Prometheus scrapes, and its content type; at most ten a second are made, since each takes 1 ms."""
         if now_ns() - self._made_ns > _NEWEST_NS:
             self._text, self._made_ns = self._made(), now_ns()
         return self._text, CONTENT_TYPE_LATEST

@@ -87,7 +87,7 @@ def test_a_busy_port_is_one_line_and_exit_2(models_folder: Path, capsys: pytest.
     assert "pass another --port" in one_line(capsys)
 
 
-def test_a_wrong_frame_size_is_one_line_and_exit_2(
+def test_a_wrong_frame_size_is_named_and_exit_2(
     tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fingers = FakeFinger("left"), FakeFinger("right")
@@ -101,7 +101,9 @@ def test_a_wrong_frame_size_is_one_line_and_exit_2(
         for finger in fingers:
             finger.close()
     assert code == 2
-    assert "left camera delivers 640 x 480 frames, expected 327 x 320 or 427 x 320" in one_line(capsys)
+    logged, said = capsys.readouterr().err.splitlines()
+    assert "camera_size" in logged
+    assert "left camera delivers 640 x 480 frames, expected 327 x 320 or 427 x 320" in said
 
 
 def test_a_broken_calibration_is_one_line_and_exit_2(

@@ -106,7 +106,7 @@ def _attempts(folder: Path, listed: frozenset[str] | None) -> Iterator[Attempt]:
     if summary.get("purpose") == "probe" and listed is not None and summary.get("insertion_id") not in listed:
         return
     first = PROBE if summary.get("purpose") == "probe" else LATER if summary.get("continues") else WORK
-    for index, (number, off) in enumerate(zip(moves, _errors(summary, [*moves.values()]), strict=True)):
+    for index, (number, off) in enumerate(zip(moves, _errors(summary, [*moves.values()]), strict=False)):
         inputs, _ = shown.get(number, (None, None))
         if off is not None and inputs is not None:
             yield Attempt(LATER if index else first, off, *inputs, folder.name)

@@ -115,7 +115,7 @@ def test_a_press_in_which_the_arm_stood_for_want_of_a_frame_tells_nothing(judged
 
 def test_a_slip_without_a_known_contact_is_no_press():
     watch, state = StopWatch(), State(PLAN.model_copy(update={"purpose": "timing"}))
-    for event in [*TO_DESCENT, service(slip(1), 0.05), at(APPROACH.at_height(28.0), Standstill)]:
+    for event in [*TO_DESCENT, service(slip(1, pressed_mm=None), 0.05), at(APPROACH.at_height(28.0), Standstill)]:
         state, _ = run([event], state)
         watch.on_event(state, event)
     assert watch.stop is None
