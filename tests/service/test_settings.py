@@ -101,9 +101,9 @@ def test_a_wrong_frame_size_is_named_and_exit_2(
         for finger in fingers:
             finger.close()
     assert code == 2
-    logged, said = capsys.readouterr().err.splitlines()
+    logged, error = capsys.readouterr().err.splitlines()
     assert "camera_size" in logged
-    assert "left camera delivers 640 x 480 frames, expected 327 x 320 or 427 x 320" in said
+    assert "left camera delivers 640 x 480 frames, expected 327 x 320 or 427 x 320" in error
 
 
 def test_a_broken_calibration_is_one_line_and_exit_2(
