@@ -43,7 +43,7 @@ def clip_images(path: Path) -> Iterator[tuple[NDArray[np.uint8], float]]:
     Hidden files are left out. Raises CameraError if the video's name is no UTF-8.
     """
     if path.is_dir():
-        for file in sorted(child for child in path.iterdir() if child.suffix.lower() in IMAGES):
+        for file in sorted(child for child in path.iterdir() if child.suffix.lower() in IMAGES and child.is_file()):
             image = None if file.name.startswith(".") else picture_in(file)
             if image is not None:
                 yield image, 30.0

@@ -84,7 +84,7 @@ class ClientHello(_Message):
     """First message. A client of ``role`` watch receives everything and may send only heartbeats.
 
     ``continues``: the insertion whose object was regrasped, see `Refused`. ``takes_afresh``: the client can regrasp.
-    ``most_tilt_deg``: how far it may be asked to `Straighten`; 0 where nobody has checked the signs.
+    ``most_tilt_deg``: how far it may be asked to `Straighten`, 0 with unchecked signs. ``purpose``: as of `Episode`.
     """
 
     type: Literal["hello"] = "hello"
@@ -109,11 +109,11 @@ class LearnOpen(_Message):
 class Arm(_Message):
     """The arm stands still above the gap and holds the object: take the reference and watch for slip.
 
-    ``grasp_height_mm``: height of the TCP above the blocks' tops when the object touches them, the lever arm of the
-    edge's friction; None if unknown. ``gripper_width_mm``: between the fingers; None if the gripper does not report it.
-    ``grip_n``: their force. ``shear_reach_mm``: how far the gel shears before it slides. ``press_mm``: how far to press
-    after the touch. ``until_slip``: press on until the gel slides, to measure it. ``tilt_deg``: of the tool, see
-    `Straighten`. ``tops_level_mm``: by how much the tops on both sides of the gap may differ; None if unknown.
+    ``grasp_height_mm``: of the TCP above the blocks' tops when the object touches them, the lever arm of the edge's
+    friction. ``gripper_width_mm``: between the fingers. ``grip_n``: their force. ``shear_reach_mm``: how far the gel
+    shears before it slides. None if unknown. ``press_mm``: how far to press after the touch; with ``until_slip`` until
+    the gel slides, to measure it. ``tilt_deg``: of the tool, see `Straighten`. ``tops_level_mm``: by how much the tops
+    on both sides of the gap may differ; None if unknown, or if nobody has checked the fingers' signs.
     """
 
     type: Literal["arm"] = "arm"

@@ -96,8 +96,10 @@ class Legs:
         """The way between two stamps, mm, 0 while no speed is known; negative if the second comes first."""
         if until_ns < since_ns:
             return -self.travel_mm(until_ns, since_ns)
+        if not self._legs:
+            return 0.0
         way_mm, ends = 0.0, [*(from_ns for from_ns, _ in self._legs[1:]), until_ns]
-        for k, ((from_ns, speed_mm_s), end_ns) in enumerate(zip(self._legs, ends, strict=False)):
+        for k, ((from_ns, speed_mm_s), end_ns) in enumerate(zip(self._legs, ends, strict=True)):
             begin_ns = max(since_ns, from_ns) if k else since_ns
             way_mm += max(0, min(end_ns, until_ns) - begin_ns) * 1e-9 * speed_mm_s
         return way_mm

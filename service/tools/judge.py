@@ -30,7 +30,7 @@ RATE_HZ = 8.0  # of the recordings the thresholds were set with; headers are wro
 VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm"}
 PHASES: tuple[Phase, ...] = ("open", "contact", "hold", "slip", "lost", "released")
 _LEAST_PX = 64
-_LARGE_PX, _REDUCED_PX = 480, 240  # a picture this high or wide is reduced; the filters are made for small ones
+_LARGE_PX, _REDUCED_PX = 480, 240  # smaller side; the filters are made for small pictures
 _UNSEEN = 0.5  # share of the frames in which a finger's markers may be invisible
 _BUFFERED_N = 16  # first frames, in which a camera may still deliver pictures of an earlier grasp
 
@@ -142,13 +142,16 @@ def report_of(folder: Path, step: int = 1) -> RunReport:
 
     Every ``step``-th frame is judged; the row counts them as in the recording, and the evidence has only these.
     """
-    every = {clip.stem: watched(clip, step) for clip in clips_of(folder)}
+    videos = clips_of(folder)
+    if len({clip.stem for clip in videos}) < len(videos):
+        raise RunError(f"two of its videos have one name: {', '.join(clip.name for clip in videos)}")
+    every = {clip.stem: watched(clip, step) for clip in videos}
     missing_n = sum(finger.missing_n for finger in every.values())
     remarks = [f"{missing_n} frames of its videos cannot be decoded: damaged or cut off"] if missing_n else []
     shown = {name: finger for name, finger in every.items() if finger.shows_gel}
     if len(shown) > _FINGERS_N:
         raise RunError(f"{len(shown)} videos show a gel, expected one of each finger: {', '.join(shown)}")
-    remarks += [f"{name} shows no marker grid, and is left out" for name in every.keys() - shown.keys()]
+    remarks += [f"{name} shows no marker grid, and is left out" for name in every if name not in shown]
     clips = shown or every
     fingers = list(clips.values())
     if len(clips) < _FINGERS_N:

@@ -86,7 +86,7 @@ class Insertion:
         self.before = cell.state  # the unloaded state at the start of the descent
         self._events: deque[Event] = deque()
         self._standing = False
-        self._skipped: list[Work] = []
+        self._skipped_n = 0
 
     def begin_again(self, plan: Plan) -> None:
         """Let `run` play another insertion or probe, with the object as it is in the hand."""
@@ -173,18 +173,17 @@ class Insertion:
             for frame, came in zip((pair.left, pair.right), arrived, strict=True):
                 if came:
                     self._hear(self.session.on_frame(frame, now_ns))
-        while self._skipped:
-            self._skipped.pop(0)
-            attempt = self.session.attempt
+        while self._skipped_n:
+            self._skipped_n, attempt = self._skipped_n - 1, self.session.attempt
             if attempt is not None and attempt.result is None:
                 result = WorkResult(attempt.arm.insertion_id, attempt.generation, nothing_known(self.models), None, {})
                 self._hear(self.session.on_result(result, now_ns))
 
-    def _skip_networks(self, work: Work) -> None:
+    def _skip_networks(self, _: Work) -> None:
         """Stand in for unused networks: done with the last frame of the decision."""
         attempt = self.session.attempt
         if attempt is not None and attempt.fed:
-            self._skipped.append(work)
+            self._skipped_n += 1
 
     def _hear(self, messages: list[Any]) -> None:
         for message in messages:

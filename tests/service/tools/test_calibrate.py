@@ -1,6 +1,7 @@
 """Calibration finds a simulated camera's rectification, and refuses anything but a resting gel."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,8 +10,9 @@ import pytest
 from service.__main__ import main
 from service.contract import FINGERS, Finger, Sensor, TactileFrame
 from service.perception.finger import TactileFinger
+from service.perception.lens import Warp
 from service.perception.rectification import Calibration, CalibrationError
-from service.tools.calibrate import fit_camera
+from service.tools.calibrate import fit_camera, remark
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.worlds import load_scene
@@ -120,6 +122,15 @@ def test_a_picture_that_no_profile_describes_still_gets_a_row(tmp_path, capsys):
     assert main([*arguments, "--new-profile", str(tmp_path / "mine.toml")]) == 2
     assert "no marker grid" in capsys.readouterr().err
     assert (json.loads(row.read_text())["sensor"], (tmp_path / "mine.toml").exists()) == ("mine", False)
+
+
+def test_rows_that_are_bent_beyond_the_lens_are_remarked_on():
+    """A gel glued unevenly is so, and one that something presses."""
+    camera = renderer("left", 0)
+    flat = fit_camera(still(camera), "left", Sensor.load())
+    assert remark(flat) is None
+    bulge = Warp(np.zeros(2), np.full(2, 300.0), np.array([[0.0, 0.0, 0.0, 0.3, 0.0, 0.0]] * 2) * flat.pitch_px)
+    assert "something presses it" in str(remark(flat._replace(camera=replace(flat.camera, warp=bulge))))
 
 
 def test_a_new_profile_has_the_counts_that_are_seen(tmp_path):

@@ -165,6 +165,14 @@ def test_runs_of_one_name_are_told_apart_and_a_wrong_folder_destroys_no_rows(tmp
     assert (kept, returned) == (rows, 2)
 
 
+def test_two_videos_of_one_name_are_not_mistaken_for_one_finger(tmp_path, capsys):
+    record(tmp_path / "box", (5, 8), 8)
+    (tmp_path / "box" / "camera_2.avi").rename(tmp_path / "box" / "camera_0.mkv")
+    rows, returned = rows_of(tmp_path, tmp_path / "rows.json")
+    assert (rows, returned) == ({}, 1)
+    assert "two of its videos have one name" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("rate", ["2", "nan", "fast"])
 def test_a_rate_that_cannot_be_is_refused(tmp_path, capsys, rate):
     with pytest.raises(SystemExit):

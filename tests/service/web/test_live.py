@@ -63,6 +63,14 @@ def test_health_ready_and_metrics_answer(live: LiveService) -> None:
     assert 'tactile_internal_errors{where="perception"} 0.0' in text
 
 
+def test_metrics_are_made_ten_times_a_second_at_most(live: LiveService) -> None:
+    """A flood of scrapes, which need no token, must not hold up the robot's messages."""
+    began_s = time.monotonic()
+    texts = {httpx.get(live.url("/metrics")).text for _ in range(40)}
+    assert len(texts) <= 2 + (time.monotonic() - began_s) / 0.1
+    assert len(texts) < 40
+
+
 def test_only_one_client_drives_and_others_watch(live: LiveService) -> None:
     driver, second, watcher = Driver(live, "first"), None, None
     try:
