@@ -21,6 +21,8 @@ FASTS_N, MOST_N = 2, 13
 """Fast presses that are needed, and presses at most, four of them fast: some tell nothing, their contact not known."""
 STICKS, SLIDES = 0.5, 1.0
 """Part of the time between two frames by which a contact between them is uncertain: all of it if the object slides."""
+LEAST_OPEN_S = 0.02
+"""And by this at least: each press is read to about a tenth of a millimetre, and the speeds are 6 mm/s apart."""
 SLIDES_MM = 0.3  # an object that a slow press pushes up by more slides: its motion does not grow in a straight line
 
 
@@ -59,15 +61,16 @@ def next_is_fast(series: Sequence[Press]) -> bool | None:
 def late_s(series: Sequence[Press]) -> float | None:
     """How late pictures and arm are together at most, s; None before two fast presses, each after two slow ones.
 
-    The larger estimate counts, as one alone may be short by a whole frame; and what the distance of two frames leaves
-    open is added.
+    The larger estimate counts, as one alone may be short by a whole frame; and what the distance of two frames and the
+    reading of a press leave open is added.
     """
     estimates_s, _ = _read(series)
     if len(estimates_s) < FASTS_N:
         return None
     slides = any(crept_mm > SLIDES_MM for _, crept_mm in estimates_s)
     frame_s = max(press.stop.frame_s for press in series if press.fast and press.stop)
-    return max(0.0, *(late for late, _ in estimates_s)) + (SLIDES if slides else STICKS) * frame_s
+    open_s = max(LEAST_OPEN_S, (SLIDES if slides else STICKS) * frame_s)
+    return max(0.0, *(late for late, _ in estimates_s)) + open_s
 
 
 def _read(series: Sequence[Press]) -> tuple[list[tuple[float, float]], list[tuple[int, Stop]]]:

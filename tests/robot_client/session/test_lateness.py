@@ -13,7 +13,15 @@ from robot_client.insertion.lease import PAUSE_S, Lease
 from robot_client.insertion.limits import LimitError
 from robot_client.insertion.pace import Pace
 from robot_client.insertion.state import Phase, State
-from robot_client.session.commission.lateness import MOST_N, PLACE, Press, late_s, next_is_fast, slow_and_fast
+from robot_client.session.commission.lateness import (
+    LEAST_OPEN_S,
+    MOST_N,
+    PLACE,
+    Press,
+    late_s,
+    next_is_fast,
+    slow_and_fast,
+)
 from robot_client.session.commission.record import Record, keep_record, read_record
 from robot_client.session.commission.wiring import SIDES
 from robot_client.session.stops import Stop, StopWatch
@@ -25,7 +33,7 @@ from tests.robot_client.session.test_wiring import answers
 
 ORDER = (False, False, False, True, False, False, True)
 """Which presses of a series are fast, if none ends by slip."""
-FRAME_S = 0.02
+FRAME_S = 0.08
 
 
 def pressed(fast, touch_mm, late, *, age_s=0.02, pressed_mm=0.75, speeds=(4.0, 10.0), frame_s=FRAME_S):
@@ -78,6 +86,7 @@ def test_the_larger_of_both_values_counts_and_what_two_frames_leave_open_is_adde
     assert late_s(series_of(-0.05)) == pytest.approx(0.5 * FRAME_S), "nothing is seen before it happens"
     slides = series_of(0.05, crept_mm=0.8)
     assert late_s(slides) == pytest.approx(0.05 + FRAME_S), "its first motion is no straight line"
+    assert late_s(series_of(0.05, frame_s=0.005)) == pytest.approx(0.07), "a press is not read more closely"
 
 
 ENOUGH = wire.Enough(insertion_id=ID, attempt=1, frame_seq=3, captured_ns=30_000_000, pressed_mm=0.8)
@@ -196,7 +205,7 @@ def test_an_insertion_reckons_with_the_lateness_of_its_commissioning_where_that_
     tmp_path, late, set_s, counts_s
 ):
     path = tmp_path / "commissioning.json"
-    made = series_of(late, frame_s=0.0) if late else ()
+    made = series_of(late - LEAST_OPEN_S, frame_s=0.0) if late else ()
     keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), timed=tuple(made)))
     plan = PLAN.model_copy(update={"lease": Lease(stop_lag_s=set_s)})
     timed_plan = with_commissioning(Settings(commissioning=path, lease=plan.lease), plan, asked=True)
@@ -221,7 +230,7 @@ def test_a_cell_whose_lateness_is_neither_measured_nor_set_inserts_nothing(tmp_p
 )
 def test_check_tells_how_late_the_cell_is_and_refuses_one_that_is_too_late(tmp_path, late, good, says):
     path = tmp_path / "commissioning.json"
-    made = series_of(late, frame_s=0.0) if late else ()
+    made = series_of(late - LEAST_OPEN_S, frame_s=0.0) if late else ()
     keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), timed=tuple(made)))
     real = Settings(commissioning=path, lease=Lease(stop_lag_s=0.04))
 
