@@ -59,15 +59,19 @@ class Relay:
         self.own_port = server.sockets[0].getsockname()[1]
         self._ready.set()
         self._loop.run_forever()
+        self._loop.run_until_complete(self._end(server))
+        self._loop.close()
+
+    async def _end(self, server: asyncio.Server) -> None:
+        """Close all sockets, which takes the loop another turn after they are aborted."""
         server.close()
         for writer in self._writers:
             writer.transport.abort()
-        tasks = asyncio.all_tasks(self._loop)
-        for task in tasks:
+        serving = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in serving:
             task.cancel()
-        if tasks:
-            self._loop.run_until_complete(asyncio.wait(tasks))
-        self._loop.close()
+        ends = (writer.wait_closed() for writer in self._writers)
+        await asyncio.gather(*serving, *ends, return_exceptions=True)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         there, back = await asyncio.open_connection(self.host, self.port)
