@@ -133,15 +133,19 @@ class Insertion:
                 break
             self._frame()
 
+    def take_afresh(self, plan: Plan) -> None:
+        """Regrasp the object from its fixture, at the pose with which the plan begins."""
+        took_s = trip_s(plan)
+        self.cell.take_afresh(plan.approach.x_mm, plan.approach.y_mm, plan.approach.yaw_deg, took_s)
+        self.grasps, self.seconds.spent[AFRESH] = self.grasps + 1, self.seconds.spent[AFRESH] + took_s
+
     def _takes_afresh(self) -> bool:
         """Whether the object is regrasped from its fixture and tried again, as in the client's cycle."""
         plan = self.state.afresh(f"simulated-{self.grasps + 1}")
         if plan is None:
             return False
-        self.grasps, self._tried = self.grasps + 1, self._tried + self.state.tried_n
-        took_s = trip_s(plan)
-        self.cell.take_afresh(plan.approach.x_mm, plan.approach.y_mm, plan.approach.yaw_deg, took_s)
-        self.seconds.spent[AFRESH] += took_s
+        self._tried += self.state.tried_n
+        self.take_afresh(plan)
         before = self.session
         self.begin_again(plan)
         self.session.submit, self.session.on_attempt = before.submit, before.on_attempt

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from robot_client.insertion.limits import LimitError
-from robot_client.insertion.state import Phase
+from robot_client.insertion.state import REFUSED, Phase
 from robot_client.session.commission.lateness import PLACE, Press, late_s, next_is_fast, slow_and_fast
 from robot_client.session.stops import StopWatch
 from simulation.closed_loop.client import trip_s
@@ -24,7 +24,7 @@ from simulation.studies.wiring import by_corner
 
 
 def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
-    """All presses with an object, in one grasp: measured and true lateness in s, None for one that was not measured.
+    """All presses with an object: measured and true lateness in s, None for one that was not measured.
 
     As on a cell, a press that fails ends them, and none of them counts.
     ``job``: fields of `Job`. ``robot_s``: time of the robot, including the trip to the fixture and back.
@@ -38,15 +38,20 @@ def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
         plans = slow_and_fast(insertion.state.plan, insertion.cell.scene.fps)
     except (PhysicsError, LimitError):
         return row
-    series: list[Press] = []
+    series, afresh = list[Press](), False
     while (fast := next_is_fast(series)) is not None:
-        watch = StopWatch()
+        watch, plan = StopWatch(), plans[fast and not afresh]
         insertion.watches = watch.on_event
-        insertion.begin_again(plans[fast])
+        insertion.begin_again(plan)
         insertion.run()
+        if insertion.state.reason.startswith(REFUSED) and series and not afresh:
+            insertion.take_afresh(plan)
+            afresh = True
+            continue
         if failed := insertion.state.phase is not Phase.PROBED:
             break
-        series.append(Press(fast=fast, stop=watch.stop))
+        series.append(Press(fast=fast and not afresh, stop=watch.stop, afresh=afresh))
+        afresh = False
     known_s = None if failed else late_s(series)
     return row | {"late_s": known_s, "robot_s": insertion.seconds.total_s + trip_s(plans[0])}
 

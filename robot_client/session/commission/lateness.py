@@ -1,4 +1,4 @@
-"""How late a cell's pictures and arm are together, from presses at two speeds in one grasp.
+"""How late a cell's pictures and arm are together, from presses at two speeds.
 
 A press ends once the pictures show the gel pressed to a given depth, or slip. Pictures that are late show it as it was
 further up, and an arm that is slow to stop goes on. Without the travel that the service knows of, the depth of the
@@ -27,10 +27,14 @@ SLIDES_MM = 0.3  # an object that a slow press pushes up by more slides: its mot
 
 
 class Press(Contract):
-    """A press of the series; ``stop`` is None if it did not end because of what was pressed."""
+    """A press of the series; ``stop`` is None if it did not end because of what was pressed.
+
+    ``afresh``: the object has been regrasped before it, because it had turned in the hand.
+    """
 
     fast: bool
     stop: Stop | None
+    afresh: bool = False
 
 
 def slow_and_fast(plan: Plan, rate_hz: float) -> tuple[Plan, Plan]:
@@ -50,7 +54,7 @@ def slow_and_fast(plan: Plan, rate_hz: float) -> tuple[Plan, Plan]:
 def next_is_fast(series: Sequence[Press]) -> bool | None:
     """Whether the press after these is fast, which is so after two slow ones; None after the last one.
 
-    The first press of a series is slow and not counted: after it the object sits, wherever it stopped.
+    The first press of each grasp is slow and not counted: after it the object sits, wherever it stopped.
     """
     estimates_s, slow = _read(series)
     if len(estimates_s) == FASTS_N or len(series) == MOST_N:
@@ -77,8 +81,10 @@ def _read(series: Sequence[Press]) -> tuple[list[tuple[float, float]], list[tupl
     """Each estimate in s, with the creep of a press in mm; and the slow stops since the last fast press, numbered."""
     estimates_s: list[tuple[float, float]] = []
     slow: list[tuple[int, Stop]] = []
-    for number, press in enumerate(series[1:]):
-        if press.fast:
+    for number, press in enumerate(series):
+        if number == 0 or press.afresh:
+            slow = []
+        elif press.fast:
             if press.stop and len(slow) >= 2:
                 (before_n, before), (last_n, last) = slow[-2:]
                 crept_mm = (last.touch_mm - before.touch_mm) / (last_n - before_n)

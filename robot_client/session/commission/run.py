@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from robot_client.insertion.limits import LimitError
-from robot_client.insertion.state import Phase
+from robot_client.insertion.state import REFUSED, Phase
 from robot_client.ports import DriverError
 from robot_client.session.commission.lateness import PLACE, Press, late_s, next_is_fast
 from robot_client.session.commission.record import Record, keep_record
@@ -103,19 +103,30 @@ class Commissioning:
         return self.record
 
     async def _timed(self, press_at: Callable[[float, float, bool], Awaitable[Ended]]) -> tuple[Press, ...]:
-        """The presses at two speeds, all in one grasp; none if they do not tell how late the cell is."""
+        """The presses at two speeds, none if they do not tell how late the cell is.
+
+        All are in one grasp, unless the object turns in the hand meanwhile: then it is regrasped.
+        """
         await self.fetch()
-        series, why = list[Press](), ""
+        series, afresh, why = list[Press](), False, ""
         while (fast := next_is_fast(series)) is not None:
+            fast &= not afresh
             title = f"{'fast' if fast else 'slow'} press {len(series) + 1}"
             try:
-                stop = self._checked(title, await press_at(*PLACE, fast)).stop
+                ended = await press_at(*PLACE, fast)
             except LimitError as error:
                 why = f" ({error})"
                 break
+            if ended.reason.startswith(REFUSED) and series and not afresh:
+                self.show(f"{title}: the object has turned in the hand and is regrasped")
+                await self.fetch()
+                afresh = True
+                continue
+            stop = self._checked(title, ended).stop
             at = f"stopped at {stop.depth_mm:.2f} mm" if stop else "not stopped by what was pressed, or it paused"
             self.show(f"{title}: {at}")
-            series.append(Press(fast=fast, stop=stop))
+            series.append(Press(fast=fast, stop=stop, afresh=afresh))
+            afresh = False
         if late_s(series) is None:
             self.show(f"HOW LATE pictures and arm are IS NOT KNOWN{why}: see lease.stop_lag_s")
             return ()

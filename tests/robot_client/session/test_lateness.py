@@ -1,4 +1,4 @@
-"""How late pictures and arm are together: what presses at two speeds in one grasp tell, and what an insertion does."""
+"""How late pictures and arm are together: what presses at two speeds tell."""
 
 import asyncio
 
@@ -6,15 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_client.cli.check import findings_of
-from robot_client.cli.insert import with_commissioning
 from robot_client.insertion.events import Standstill
-from robot_client.insertion.lease import PAUSE_S, Lease
 from robot_client.insertion.limits import LimitError
-from robot_client.insertion.pace import Pace
-from robot_client.insertion.state import Phase, State
+from robot_client.insertion.state import REFUSED, Phase, State
+from robot_client.ports import DriverError
 from robot_client.session.commission.lateness import (
-    LEAST_OPEN_S,
     MOST_N,
     PLACE,
     Press,
@@ -22,14 +18,12 @@ from robot_client.session.commission.lateness import (
     next_is_fast,
     slow_and_fast,
 )
-from robot_client.session.commission.record import Record, keep_record, read_record
+from robot_client.session.commission.record import Record, read_record
 from robot_client.session.commission.wiring import SIDES
 from robot_client.session.stops import Stop, StopWatch
-from robot_client.settings import Settings, SettingsError
 from service.contract import wire
 from tests.robot_client.insertion.stories import APPROACH, ID, PLAN, TO_DESCENT, at, run, service, slip, watching
 from tests.robot_client.session.test_commission import Cell, commissioning
-from tests.robot_client.session.test_wiring import answers
 
 ORDER = (False, False, False, True, False, False, True)
 """Which presses of a series are fast, if none ends by slip."""
@@ -84,6 +78,9 @@ def test_the_larger_of_both_values_counts_and_what_two_frames_leave_open_is_adde
     assert late_s(longer) == pytest.approx(0.07 + 0.5 * FRAME_S)
     assert late_s(made[:4]) is late_s([]) is None, "one fast press may be short by a frame"
     assert late_s(series_of(-0.05)) == pytest.approx(0.5 * FRAME_S), "nothing is seen before it happens"
+    afresh = [press.model_copy(update={"afresh": number == 4}) for number, press in enumerate(series_of(0.05))]
+    assert late_s(afresh) is None, "its first press in the new grasp is not counted"
+    assert next_is_fast(afresh[:-1]) is False
     slides = series_of(0.05, crept_mm=0.8)
     assert late_s(slides) == pytest.approx(0.05 + FRAME_S), "its first motion is no straight line"
     assert late_s(series_of(0.05, frame_s=0.005)) == pytest.approx(0.07), "a press is not read more closely"
@@ -179,6 +176,46 @@ def test_a_series_that_tells_nothing_is_not_kept_and_made_again(tmp_path):
     assert timed(cell, path, read_record(path)).late_s == pytest.approx(0.08 + 0.5 * FRAME_S)
 
 
+def test_an_object_that_turns_in_the_hand_meanwhile_is_regrasped_and_the_series_goes_on(tmp_path):
+    class Turning(Pressed):
+        async def press_at(self, *how):
+            ended = await super().press_at(*how)
+            if len(self.presses) not in (6, 9):
+                return ended
+            return ended._replace(phase=Phase.FAILED, reason=f"{REFUSED} it hangs turned by 0.6 deg", stop=None)
+
+    cell = Turning()
+    record = timed(cell, tmp_path / "record.json")
+    assert record.late_s == pytest.approx(0.08 + 0.5 * FRAME_S)
+    grasp = len(SIDES) + 1
+    assert [fetched_n - grasp for *_, fetched_n in cell.presses] == [0] * 6 + [1] * 3 + [2] * 4
+    assert [press.fast for press in record.timed] == [
+        False,
+        False,
+        False,
+        True,
+        False,
+        *[False] * 2,
+        *[False] * 3,
+        True,
+    ]
+    assert [number for number, press in enumerate(record.timed) if press.afresh] == [5, 7]
+
+
+def test_an_object_that_hangs_turned_just_after_it_was_regrasped_ends_the_commissioning(tmp_path):
+    class Hanging(Pressed):
+        async def press_at(self, *how):
+            ended = await super().press_at(*how)
+            if len(self.presses) < 3:
+                return ended
+            return ended._replace(phase=Phase.FAILED, reason=f"{REFUSED} it hangs turned by 0.6 deg", stop=None)
+
+    cell = Hanging()
+    with pytest.raises(DriverError, match=r"slow press 3: service: refused: turned_in_hand: it hangs turned"):
+        timed(cell, tmp_path / "record.json")
+    assert len(cell.presses) == 4
+
+
 def test_an_older_record_with_one_fast_press_is_timed_again(tmp_path):
     record = Record(begun="today", seed=7, gels={"left": "a", "right": "b"}, timed=tuple(series_of(0.05)[:4]))
     assert record.late_s is None
@@ -198,63 +235,3 @@ def test_a_cell_with_the_wrong_signs_is_not_timed(tmp_path):
     cell = Pressed(sign=-1)
     timed(cell, tmp_path / "record.json")
     assert cell.presses == []
-
-
-@pytest.mark.parametrize(("late", "set_s", "counts_s"), [(0.09, 0.04, 0.09), (0.03, 0.04, 0.04), (None, 0.05, 0.05)])
-def test_an_insertion_reckons_with_the_lateness_of_its_commissioning_where_that_is_longer(
-    tmp_path, late, set_s, counts_s
-):
-    path = tmp_path / "commissioning.json"
-    made = series_of(late - LEAST_OPEN_S, frame_s=0.0) if late else ()
-    keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), timed=tuple(made)))
-    plan = PLAN.model_copy(update={"lease": Lease(stop_lag_s=set_s)})
-    timed_plan = with_commissioning(Settings(commissioning=path, lease=plan.lease), plan, asked=True)
-    assert timed_plan.lease.stop_lag_s == pytest.approx(counts_s)
-
-
-def test_a_cell_whose_lateness_is_neither_measured_nor_set_inserts_nothing(tmp_path):
-    path = tmp_path / "commissioning.json"
-    keep_record(path, Record(begun="today", seed=1, signs=tuple(answers())))
-    with pytest.raises(SettingsError, match=r"does not show how late .* or set it"):
-        with_commissioning(Settings(commissioning=path), PLAN, asked=True)
-
-
-@pytest.mark.parametrize(
-    ("late", "good", "says"),
-    [
-        (None, True, "not measured: for the 40 ms set, the lease lasts 260 ms"),
-        (0.09, True, "late by at most 90 ms: the lease lasts 210 ms"),
-        (0.2, True, "lasts 100 ms, too short for 10 mm/s: it descends at the probing speed all the way"),
-        (0.29, False, "descend more slowly than 4.8 mm/s"),
-    ],
-)
-def test_check_tells_how_late_the_cell_is_and_refuses_one_that_is_too_late(tmp_path, late, good, says):
-    path = tmp_path / "commissioning.json"
-    made = series_of(late - LEAST_OPEN_S, frame_s=0.0) if late else ()
-    keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), timed=tuple(made)))
-    real = Settings(commissioning=path, lease=Lease(stop_lag_s=0.04))
-
-    async def cell():
-        return [finding async for name, finding in findings_of(real) if name == "cell"]
-
-    (finding,) = asyncio.run(cell())
-    assert finding.good == good
-    assert says in finding.text
-
-
-def test_a_lateness_that_uses_up_the_lease_is_refused_with_the_speed_that_would_do():
-    late = PLAN.model_copy(update={"lease": PLAN.lease.late_by(0.14)})
-    with pytest.raises(LimitError, match=r"140 ms of stop lag at 10 mm/s; descend more slowly than 9.4 mm/s"):
-        late.check()
-    late.at_speed(9.0).check()
-
-
-@pytest.mark.parametrize(("late", "fast"), [(0.1, True), (0.15, False)])
-@pytest.mark.parametrize("rate_hz", [None, 200.0])
-def test_a_cell_too_late_for_the_fast_legs_descends_slowly_all_the_way(late, fast, rate_hz):
-    plan = PLAN.at_speed(5.0).model_copy(
-        update={"lease": PLAN.lease.late_by(late), "pace": Pace(fast_mm_s=10.0), "pause_s": PAUSE_S}
-    )
-    plan.check()
-    camera = wire.CameraEntry(finger="left", source="s", state="live", frame_rate_hz=rate_hz)
-    assert plan.bears_fast([camera]) == fast

@@ -25,12 +25,11 @@ def test_presses_bound_the_latency_and_the_stop_lag_together(latency_ms, stop_la
     assert 0.0 < row["robot_s"] < 60.0
 
 
-def test_a_press_that_fails_ends_the_presses_as_on_a_cell():
-    """The object turns in the hand, and the service refuses to go on with it."""
-    turned = drawn_worlds_of(200, 109, 0.1)[117]
-    row = timed(turned, "rectangle", 5, released_models())
-    assert row["late_s"] is None
-    assert row["robot_s"] < 25.0, "all thirteen presses take 27 s"
+def test_an_object_that_turns_in_the_hand_is_regrasped_and_pressed_on_as_on_a_cell():
+    turning = drawn_worlds_of(200, 109, 0.1)[117]
+    row = timed(turning, "rectangle", 5, released_models())
+    assert 0.0 <= row["late_s"] - row["true_late_s"] < 0.06
+    assert 30.0 < row["robot_s"] < 60.0, "with a second way to the fixture"
 
 
 def test_each_world_is_timed_and_errors_are_counted_where_it_was_measured():
