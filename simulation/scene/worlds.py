@@ -179,15 +179,6 @@ def object_names() -> tuple[str, ...]:
 
 
 @cache
-def known_object(name_or_path: str) -> Scene | None:
-    """The object of this name in results, or None where its file no longer exists."""
-    try:
-        return load_scene(name_or_path)
-    except SceneError:
-        return None
-
-
-@cache
 def training_objects() -> tuple[str, ...]:
     """The registry's objects that the released networks were trained on, in their order."""
     return tuple(name for name in object_names() if load_scene(name).training)
