@@ -1,5 +1,6 @@
 """Options of a live cell, checked before anything starts."""
 
+import sys
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +9,10 @@ from typing import Literal
 import numpy as np
 
 from simulation.scene.scene import Scene
+from simulation.scene.worlds import TOP_LEVEL, load_world
 
+MOST_DRAWS = 10_000  # of a start that collides; a wide gap has none
+LOCKSTEP_ONLY = ("camera.latency_ms", "motion.descent_speed_mm_s")
 _RANGES = {"x_mm": (-60.0, 60.0), "theta_deg": (-45.0, 45.0), "egm_lag_ms": (1.0, 500.0)}
 
 
@@ -70,11 +74,23 @@ class CellOptions:
                 raise CellError(f"--{name.replace('_', '-')}-port: expected 0 to 65535")
 
 
+def warn_of_keys_without_effect(path: str | None) -> None:
+    """Name on stderr the keys of a world file that a live cell does not play: only `evaluate` does."""
+    if path is None:
+        return
+    world = load_world(path)
+    keys = [key for key in LOCKSTEP_ONLY if TOP_LEVEL.get(key, key) in world.changes]
+    keys += [f"world.{key}" for key in world.unstated.model_dump(exclude_defaults=True)]
+    if keys:
+        print(f"{path}: without effect in real time: {', '.join(keys)}; `evaluate` plays them", file=sys.stderr)
+
+
 def draw_start(scene: Scene, seed: int) -> tuple[float, float]:
-    """A start error within the scene's ranges that collides; every scene has its own sequence."""
+    """A start error within the scene's ranges that collides, if one does; every scene has its own sequence."""
     rng = np.random.default_rng([seed, zlib.crc32(scene.name.encode())])
-    while True:
+    for _ in range(MOST_DRAWS):
         x_mm = float(rng.uniform(-scene.x_range_mm, scene.x_range_mm))
         theta_deg = float(rng.uniform(-scene.theta_range_deg, scene.theta_range_deg))
         if not scene.fits(x_mm, theta_deg):
-            return round(x_mm, 2), round(theta_deg, 2)
+            break
+    return round(x_mm, 2), round(theta_deg, 2)

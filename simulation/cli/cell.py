@@ -7,7 +7,7 @@ import tyro
 
 from reporting.page import publish
 from simulation.cell.live import bind_all, serve
-from simulation.cell.options import CellOptions
+from simulation.cell.options import CellOptions, warn_of_keys_without_effect
 from simulation.cell.plant import build, load
 from simulation.cli.run import exit_status
 from simulation.studies.motion_bounds import report as bounds_report
@@ -19,6 +19,7 @@ def cell(arguments: list[str]) -> int:
     options = tyro.cli(CellOptions, args=arguments, prog="tactile-insertion cell", description=cell.__doc__)
     options.check()
     scene = load(options)
+    warn_of_keys_without_effect(options.world)
     options.out.mkdir(parents=True, exist_ok=True)  # fails before sockets and threads exist
     sockets = bind_all(options)
     return asyncio.run(serve(options, build(scene, options), sockets))

@@ -20,7 +20,7 @@ from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntr
 from simulation.data.parallel import results
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
-from simulation.scene.worlds import load_world, training_objects
+from simulation.scene.worlds import World, load_world, training_objects
 
 SHARD_TRIALS = 250
 
@@ -71,11 +71,13 @@ def asked_manifest(options: CollectOptions) -> Manifest:
     except ContractError as error:
         raise DatasetError(f"--sensor: {error}") from error
     scenes = {name: scene_of(name, sensor) for name in options.objects}
-    if ignored := [name for name, scene in scenes.items() if sensor not in (None, scene.sensor)]:
+    cell = load_world(options.around) if options.around else World()
+    fingers = {name: cell.around(scene).sensor for name, scene in scenes.items()}
+    if ignored := [name for name, its_sensor in fingers.items() if sensor not in (None, its_sensor)]:
         raise DatasetError(
             f"--sensor {options.sensor}: {', '.join(ignored)} has its own; name objects, or use --around"
         )
-    sensors = {scene.sensor for scene in scenes.values()}
+    sensors = set(fingers.values())
     if len(sensors) > 1:
         raise DatasetError(f"the scenes have sensors {', '.join(sorted(map(str, sensors)))}: a dataset has one")
     around = f" --around {sha256(json.dumps(_known(options)).encode()).hexdigest()[:12]}" if options.around else ""
@@ -92,12 +94,11 @@ def asked_manifest(options: CollectOptions) -> Manifest:
 
 
 def _known(options: CollectOptions) -> dict[str, Any] | None:
-    """The tables of the world file, checked."""
+    """The tables of the world file."""
     if options.around is None:
         return None
     if not drawn_cells.KNOWN.keys().isdisjoint(options.objects):
         raise DatasetError(f"--around {options.around}: expected the objects that the cell packs, not drawn ones")
-    load_world(options.around)
     return read_toml(options.around)
 
 

@@ -13,9 +13,9 @@ from service.contract.shipped import released_models
 from simulation.closed_loop import benchmark, campaign
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.job import Job, Outcome, Perception, Who
-from simulation.closed_loop.statistics import Row
+from simulation.closed_loop.statistics import Row, title_of
 from simulation.scene.scene import Scene
-from simulation.scene.worlds import World, files_in, known_object, load_objects, load_world, object_names
+from simulation.scene.worlds import World, files_in, load_objects, load_world, object_names
 from simulation.studies.wiring import by_corner, named_wirings, probes, touched
 
 
@@ -97,8 +97,9 @@ def main(arguments: list[str]) -> int:
     options.json.parent.mkdir(parents=True, exist_ok=True)
     rows = benchmark.table(_played(options, todo))
     write_json(options.json, rows)
+    objects = {title_of(name): scene for name, scene in load_objects(options.objects).items()}
     for row in rows:
-        print(_line(row))
+        print(_line(row, objects[row["object"]]))
     return 0
 
 
@@ -172,9 +173,8 @@ def _refused(task: Task, cause: str) -> Row:
     return {**task.job, **asdict(outcome)}
 
 
-def _line(row: Row) -> str:
-    known = known_object(row["object"])
-    paper = f"; the paper's real robot: {known.paper.mean_trials:g}" if known and known.paper else ""
+def _line(row: Row, scene: Scene) -> str:
+    paper = f"; the paper's real robot: {scene.paper.mean_trials:g}" if scene.paper else ""
     inserted = f"{row['inserted']}/{row['insertions']} inserted, mean trials {row['mean_trials']:.2f}"
     ended = "".join(f"\n  {count} x {reason}" for reason, count in row["reasons"].items())
     return f"{row['world']}, {row['object']}: {inserted} (simulated{paper}){ended}"

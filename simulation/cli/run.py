@@ -16,6 +16,7 @@ from service.contract.text import fitted
 from simulation.cell import film, run_report
 from simulation.cell.children import ChildError, terminate_as_interrupt
 from simulation.cell.demo import DemoOptions, lines
+from simulation.cell.options import warn_of_keys_without_effect
 from simulation.cell.run import RunOptions, Start, insert, starts
 from simulation.cell.run_report import Result
 from simulation.scene.worlds import load_scene
@@ -35,6 +36,7 @@ def run(arguments: list[str]) -> int:
     """Run the whole loop: exit 0 if every insertion succeeded, 1 if one did not, 2 on invalid input."""
     options = tyro.cli(RunCommand, args=arguments, prog="tactile-insertion run", description=run.__doc__)
     todo = starts(options)
+    warn_of_keys_without_effect(options.world)
 
     def insert_all() -> int:
         with contextlib.redirect_stdout(sys.stderr) if options.json else contextlib.nullcontext():
@@ -52,6 +54,7 @@ def demo(arguments: list[str]) -> int:
     """Insert one object after another until Ctrl-C, with the page; exit 1 if a process failed."""
     options = tyro.cli(DemoOptions, args=arguments, prog="tactile-insertion demo", description=demo.__doc__)
     (start,) = starts(replace(options, repeat=1))
+    warn_of_keys_without_effect(options.world)
     folder = _folder(options, start)
 
     def work() -> int:

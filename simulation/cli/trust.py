@@ -2,7 +2,8 @@
 
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
 
 import tyro
@@ -47,8 +48,10 @@ def main(arguments: list[str]) -> int:
     worlds = [load_world(path) for path in files_in(options.worlds)]
     worlds += drawn_worlds_of(options.drawn_n, options.seed, options.layer_share)
     setup = fingerprint({"belief": options.models})
-    campaign.claim(options.out, setup)
     objects, path = load_objects(options.objects), options.out / "lateness.json"
+    timed = [asdict(world) | {"unstated": world.unstated.model_dump(mode="json")} for world in worlds]
+    which = json.dumps([options.seed, timed, [scene.sha256 for scene in objects.values()]])
+    campaign.claim(options.out, {**setup, "worlds, objects or seed": sha256(which.encode()).hexdigest()})
     if not path.exists():
         write_json(path, lateness(worlds, objects, options.seed, options.models, options.workers))
     late = json.loads(path.read_text(encoding="utf-8"))

@@ -98,8 +98,10 @@ class Insertion:
         cell, void = self.cell, ""
         try:
             self._play()
-        except (PhysicsError, GraspEndError, TouchingError) as stuck:
-            void = f"physics: {stuck}"
+        except PhysicsError as stuck:
+            void = f"physics: {stuck.reason}: {stuck}"
+        except (GraspEndError, TouchingError) as ended:
+            void = f"physics: {ended}"
         troubles, claimed = self._troubles.values(), self.state.phase is Phase.INSERTED
         in_gap = cell.state.inserted and not void and not any(trouble.gone for trouble in troubles)
         return Outcome(
@@ -284,7 +286,7 @@ def insert(job: Job, models: ModelSet) -> dict[str, Any]:
     try:
         outcome = stage(job, models).run()
     except PhysicsError as error:
-        outcome = Outcome.never_began(job, f"physics: {error}", void=True)
+        outcome = Outcome.never_began(job, f"physics: {error.reason}: {error}", void=True)
     return asdict(job) | asdict(outcome)
 
 

@@ -130,7 +130,7 @@ class QuasiStaticCell:
     def tilt_to(self, tilt_deg: float) -> CellState:
         """Tilt the hand about its own y, the object with it; TouchingError where that touches a block."""
         if not math.isfinite(tilt_deg) or self._touching:
-            raise TouchingError(f"tilt_to: expected a finite angle and an object that touches nothing, got {tilt_deg}")
+            raise TouchingError("the hand cannot tilt: expected a finite angle and an object that touches nothing")
         self.tilt_rad = math.radians(tilt_deg)
         return self.look()
 

@@ -8,6 +8,8 @@ import numpy as np
 from simulation.scene.scene import Scene
 
 MODULUS = "gel.shear_modulus_n_per_mm2"
+LEAST_HELD_MM = 6.0
+ROUNDING_MM = 1e-9
 
 
 def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False) -> Scene:
@@ -27,13 +29,17 @@ def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False
 
     body = scene.object
     scale = draw(0.9, 1.2, 0.05)
-    size_x = min(200.0, body.size_x_mm * scale)
+    regular = body.shape in {"hexagon", "ellipse"} and body.size_x_mm == body.size_y_mm  # or round; they stay so
+    size_x = _size_mm(body.size_x_mm, scale, 110.0 if regular else 200.0)
     height = _around(scene, "grasp.height_mm", float(rng.uniform(25.0, 95.0)), 60.0)
-    size_y = min(110.0, body.size_y_mm * scale * draw(0.96, 1.04, 0.04))
+    size_y = _size_mm(body.size_y_mm, scale * draw(0.96, 1.04, 0.04), 110.0)
+    if body.vertices_mm and body.corner_radius_mm > 0.0:  # stretched one way, its arcs might not fit
+        scale = min(size_x / body.size_x_mm, size_y / body.size_y_mm)
+        size_x, size_y = body.size_x_mm * scale, body.size_y_mm * scale
     changes: dict[str, Any] = {
         "object.size_x_mm": size_x,
         "object.size_y_mm": size_y,
-        "object.corner_radius_mm": min(50.0, body.corner_radius_mm * scale),
+        "object.corner_radius_mm": min(50.0, 0.5 * size_x, 0.5 * size_y, body.corner_radius_mm * scale),
         "object.mass_kg": math.exp(float(rng.uniform(math.log(0.05), math.log(0.6)))),
         "object.centre_of_mass_height_mm": height * float(rng.uniform(0.4, 0.95)),
         "blocks.gap_mm": min(250.0, size_x + 2.0 * scene.clearance_mm / 2.5 * float(rng.uniform(1.5, 3.0))),
@@ -51,9 +57,14 @@ def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False
     if body.vertices_mm:
         scales = size_x / body.size_x_mm, size_y / body.size_y_mm
         changes["object.vertices_mm"] = [(x * scales[0], y * scales[1]) for x, y in body.vertices_mm]
-    if body.shape in {"hexagon", "ellipse"} and body.size_x_mm == body.size_y_mm:
-        changes["object.size_y_mm"] = size_x  # regular and round objects stay so
+    if regular:
+        changes["object.size_y_mm"] = size_x
     return scene.varied(changes)
+
+
+def _size_mm(own_mm: float, scale: float, most_mm: float) -> float:
+    """A scaled size, at most that of a scene and, unless the object is smaller itself, as wide as can be held."""
+    return min(most_mm - ROUNDING_MM, max(own_mm * scale, min(own_mm, LEAST_HELD_MM)))
 
 
 def _around(scene: Scene, key: str, value: float, middle: float) -> float:

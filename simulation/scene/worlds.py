@@ -114,7 +114,7 @@ def _validated(path: Path, table: str, model: type[Part], values: Mapping[str, A
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise SceneError(f"{path}: {table}.{describe(error, model)}") from error
+        raise SceneError(f"{path}: {describe(error, model, table)}") from error
 
 
 def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
@@ -138,6 +138,9 @@ def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
     if "start" in data:
         start = _validated(path, "start", Start, data.pop("start"))
         data |= start.model_dump(include=start.model_fields_set)
+    if "motion" in data:
+        motion = _validated(path, "motion", Motion, data.pop("motion"))
+        data |= {TOP_LEVEL[f"motion.{key}"]: getattr(motion, key) for key in motion.model_fields_set}
     fill(data)
     return parsed(data, str(path))
 
@@ -173,15 +176,6 @@ def object_names() -> tuple[str, ...]:
         return float(_read(path).get("order", "inf")), path.stem
 
     return tuple(path.stem for path in sorted(OBJECTS.glob("*.toml"), key=place))
-
-
-@cache
-def known_object(name_or_path: str) -> Scene | None:
-    """The object of this name in results, or None where its file no longer exists."""
-    try:
-        return load_scene(name_or_path)
-    except SceneError:
-        return None
 
 
 @cache

@@ -50,7 +50,7 @@ def play(episode: Episode) -> Row:
         outcome = insertion.run()
         robot_s = insertion.seconds.total_s + trip_s(plan)
     except PhysicsError as error:  # the object cannot even be held
-        outcome = Outcome.never_began(job, f"physics: {error}", void=True)
+        outcome = Outcome.never_began(job, f"physics: {error.reason}: {error}", void=True)
     row = {**episode.job, **asdict(outcome), "robot_s": robot_s}
     _keep(episode, job, attempts, row)
     return row

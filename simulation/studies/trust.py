@@ -4,6 +4,7 @@ The first figure is the number of false claims. A claim is only as good as the g
 (`simulation.scene.ground_truth`), so the page also counts the true insertions that were not claimed.
 """
 
+import contextlib
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -49,8 +50,10 @@ def tasks(
     """``count`` insertions, each with its own draw of world, object, start and fault; the same for the same seed.
 
     ``late_s``: lateness of each world by name, as its commissioning has measured it. Where it could not (None), the
-    client refuses to insert: such a world is not drawn.
+    client refuses to insert: such a world is not drawn. Raises ValueError where that leaves none.
     """
+    if not any(_can_be_played(world, objects, late_s) for world in worlds):
+        raise ValueError("no world in which an object can be held and the lateness was measured: nothing to play")
     rng = np.random.default_rng((seed, 0x7A57))
     todo: list[Task] = []
     while len(todo) < count:
@@ -73,6 +76,17 @@ def tasks(
             job["unstated"] |= given
         todo.append(Task(models, job))
     return todo
+
+
+def _can_be_played(world: World, objects: Mapping[str, Scene], late_s: Mapping[str, float | None]) -> bool:
+    """Whether some object can be inserted there."""
+    if late_s.get(world.name, 0.0) is None:
+        return False
+    for scene in objects.values():
+        with contextlib.suppress(SceneError):
+            world.around(scene)
+            return True
+    return False
 
 
 def _fault(rng: np.random.Generator) -> tuple[str, Fault | Mapping[str, Any]]:

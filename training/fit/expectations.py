@@ -4,7 +4,6 @@ A blocked object is left turned in the hand, its bottom outwards. The amount is 
 an attempt, the move made, and its error before the next attempt.
 """
 
-import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from reporting.files import read_rows
 from service.contract import ContractError
 from service.contract.model_card import Expectations
 
@@ -19,7 +19,8 @@ Floats = NDArray[np.float64]
 MISPLACED = (2.0, 2.0)
 """Usual errors of a cell's frames, mm and deg: a start may lie this far beyond those collected."""
 FEWEST = 40
-LEVER_FROM_MM, LEVER_USUAL_MM = 30.0, 45.0
+LEVER_FROM_MM = 30.0
+UNSTATED_HEIGHT_MM = 30.0  # grasp height of a world that states none
 LEAST_SPREAD_MM, LEAST_SPREAD_DEG = 0.2, 0.2
 _STILL_MM = 0.3  # below this, the side of an error has no meaning
 
@@ -58,17 +59,20 @@ def of_insertions(paths: Iterable[Path], given: Expectations) -> Expectations:
     return Expectations.model_validate(given.model_dump() | measured)
 
 
-def _rows(path: Path) -> Iterator[Mapping[str, Any]]:
+def _rows(path: Path) -> list[dict[str, Any]]:
+    """The insertions of a log; a line that a kill truncated is no insertion."""
     try:
-        with path.open() as lines:
-            yield from (json.loads(line) for line in lines)
-    except (OSError, ValueError) as error:
-        raise ContractError(f"{path}: expected the .insertions.jsonl of an evaluation: {error}") from error
+        rows = [row for row in read_rows(path) if isinstance(row, dict) and "trials" in row]
+    except ValueError:  # not even text
+        rows = []
+    if not rows:
+        raise ContractError(f"{path}: expected the .insertions.jsonl of an evaluation, no insertion in it")
+    return rows
 
 
 def _steps(row: Mapping[str, Any]) -> Iterator[tuple[float, float, float, float]]:
     """Error in x before an attempt, its creep in x (mm) and yaw (deg), and its grasp height above 30 mm."""
-    height_mm = row["changes"].get("grasp.height_mm", LEVER_USUAL_MM)
+    height_mm = row["changes"].get("grasp.height_mm", UNSTATED_HEIGHT_MM)
     for one, following in zip(row["trials"], row["trials"][1:], strict=False):
         (x_mm, yaw_deg), (next_x, next_yaw), move = one["error_before"], following["error_before"], one["decision"]
         if "dx_mm" in move and abs(x_mm) > _STILL_MM:

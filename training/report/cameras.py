@@ -27,12 +27,16 @@ def by_camera(trainer: Trainer, scales: Scales, source: Source) -> list[Row]:
     """Figures of the held-out test presses read at each rate, then of those at each speed, read at 60 frames/s.
 
     Presses too quick for the lowest rate are left out of all rates, so that all rows of these read the same presses.
+    Empty for a dataset without test presses.
     """
     chosen, speed_mm_s = _test_presses(source)
     slow = chosen[speed_mm_s < WIDEST_SPACING_MM * RATES_FPS[0]]
-    read = {f"{fps:.0f} frames/s": _read(trainer, scales, source, slow, fps) for fps in RATES_FPS}
-    first = _right(next(iter(read.values())))
-    rows = [_row(name, each, mean((_right(each).astype(float) - first).tolist())) for name, each in read.items()]
+    rows, first = list[Row](), None
+    for fps in RATES_FPS if len(slow) else ():
+        predictions = _read(trainer, scales, source, slow, fps)
+        right = _right(predictions).astype(float)
+        first = right if first is None else first
+        rows.append(_row(f"{fps:.0f} frames/s", predictions, mean((right - first).tolist())))
     for name, (low, high) in SPEEDS_MM_S.items():
         within = chosen[(speed_mm_s >= low) & (speed_mm_s < high)]
         if len(within):

@@ -42,6 +42,12 @@ def test_what_is_no_toml_is_refused_in_one_line_with_its_name(
     assert len(str(refused.value).splitlines()) == 1
 
 
+def test_a_byte_order_mark_and_windows_line_ends_are_ignored(tmp_path: Path) -> None:
+    path = tmp_path / "settings.toml"
+    path.write_bytes(b"\xef\xbb\xbf[gel]\r\nfriction = 0.5\r\n")
+    assert read_toml(path) == {"gel": {"friction": 0.5}}
+
+
 def test_a_file_that_is_not_there_is_an_os_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         read_toml(tmp_path / "none.toml")

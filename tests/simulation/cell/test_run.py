@@ -12,6 +12,7 @@ from reporting.files import read_rows
 from simulation.__main__ import main
 from simulation.cell import run, run_report
 from simulation.cell.children import Child, ChildError
+from simulation.cell.options import warn_of_keys_without_effect
 from simulation.scene.worlds import load_scene, training_objects
 
 
@@ -35,6 +36,26 @@ def test_all_objects_and_repeats_are_counted(tmp_path):
 def test_a_stated_start_is_kept(tmp_path):
     (start,) = run.starts(run.RunOptions(x_mm=8.0, theta_deg=6.0, models=tmp_path))
     assert (start.x_mm, start.theta_deg) == (8.0, 6.0)
+
+
+def test_a_gap_that_nothing_misses_has_a_start_too(tmp_path):
+    (tmp_path / "wide.toml").write_text(
+        '[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 50.0\n[blocks]\ngap_mm = 200.0\n'
+    )
+    (start,) = run.starts(run.RunOptions(object=str(tmp_path / "wide.toml"), models=tmp_path))
+    assert abs(start.x_mm) <= 15.0
+
+
+def test_keys_of_a_world_that_only_lock_step_plays_are_named(tmp_path, capsys):
+    (tmp_path / "odd.toml").write_text(
+        "[camera]\nlatency_ms = 50\nnoise_grey = 3.0\n[motion]\ndescent_speed_mm_s = 5\n"
+        "[world]\nswapped_fingers = true\nx_sign = 1\n"
+    )
+    warn_of_keys_without_effect(str(tmp_path / "odd.toml"))
+    shown = capsys.readouterr().err
+    assert "real time: camera.latency_ms, motion.descent_speed_mm_s, world.swapped_fingers; `evaluate` plays" in shown
+    warn_of_keys_without_effect(None)
+    assert not capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

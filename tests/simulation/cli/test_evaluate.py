@@ -113,6 +113,19 @@ def test_rows_of_an_object_that_was_edited_since_are_played_again(worlds, tmp_pa
     assert played == [0.1, 0.1, 0.5, 0.5]
 
 
+def test_figures_of_the_paper_are_those_of_the_objects_own_file(worlds, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(campaign, "play", as_wired)
+    body = '[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 90.0\n'
+    (tmp_path / "circle.toml").write_text(body)  # another object than the registry's of this name
+    (tmp_path / "box.toml").write_text(body + "[paper]\nsuccess = 1.0\nmean_trials = 3.5\n")
+    files = [str(tmp_path / f"{name}.toml") for name in ("circle", "box")]
+    models = tiny_models.write_models(tmp_path / "models")
+    evaluated(worlds[:1], models, tmp_path / "rows.json", "--objects", *files, "--uncommissioned")
+    shown = capsys.readouterr().out
+    assert "good, circle: 2/2 inserted, mean trials 1.00 (simulated)" in shown
+    assert "good, box: 2/2 inserted, mean trials 1.00 (simulated; the paper's real robot: 3.5)" in shown
+
+
 @pytest.mark.slow
 def test_swapped_fingers_are_named_by_what_the_cell_really_feels(worlds, tmp_path):
     rows = evaluated(worlds, released_models(), tmp_path / "rows.json", "--objects", "rectangle")

@@ -95,6 +95,15 @@ def test_presses_around_one_cell_are_not_continued_around_another(
     assert main([*words, "--objects", "drawn", "--around", str(tmp_path / "a.toml")]) == 2
 
 
+def test_presses_around_a_cell_have_its_sensor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mini.toml").write_text('[camera]\nsensor = "gelsight_mini"\n')
+    words = ["collect", "--objects", "circle", "--around", str(tmp_path / "mini.toml"), "--out", str(tmp_path / "data")]
+    assert main([*words, "--trials-per-object", "2", "--workers", "1"]) == 0
+    assert Dataset(tmp_path / "data").trial(1).sensor.name == "gelsight_mini"
+    assert main([*words, "--sensor", "gelslim_2019"]) == 2
+    assert "--sensor gelslim_2019: circle has its own" in capsys.readouterr().err
+
+
 def test_labels_are_the_true_errors_and_only_collisions_are_kept(made: Path) -> None:
     dataset = Dataset(made)
     assert dataset.manifest.complete

@@ -1,10 +1,12 @@
 """Scenes refuse impossible values, naming the key."""
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
 
+from simulation.scene.drawn import scene_of_tables
 from simulation.scene.randomisation import randomised
 from simulation.scene.scene import SceneError
 from simulation.scene.worlds import load_scene, object_names
@@ -47,6 +49,25 @@ def test_every_draw_of_every_object_can_exist(name: str) -> None:
     scene, rng = load_scene(name), np.random.default_rng(1)
     draws = [randomised(scene, rng, held_out=bool(index % 2)) for index in range(60)]
     assert len({draw.grasp.height_mm for draw in draws}) == 60
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {"shape": "rectangle", "size_x_mm": 60.0, "size_y_mm": 40.0, "corner_radius_mm": 20.0},
+        {"shape": "rectangle", "size_x_mm": 6.1, "size_y_mm": 6.0},
+        {"shape": "ellipse", "size_x_mm": 100.0, "size_y_mm": 100.0},
+        {"shape": "hexagon", "size_x_mm": 110.0, "size_y_mm": 110.0, "corner_radius_mm": 10.0},
+        {"shape": "polygon", "vertices_mm": [[0, 0], [60, 0], [60, 25], [30, 40], [0, 25]], "corner_radius_mm": 14.0},
+        {"shape": "polygon", "vertices_mm": [[0, 0], [60, 0], [60, 109], [0, 109]], "corner_radius_mm": 9.0},
+    ],
+    ids=lambda body: f"{body['shape']} {body.get('size_x_mm', '')}",
+)
+def test_every_draw_of_an_object_at_the_limits_can_exist(body: dict[str, Any]) -> None:
+    scene, rng = scene_of_tables({"object": body}, "mine"), np.random.default_rng(4)
+    sizes = [randomised(scene, rng, held_out=bool(index % 2)).object for index in range(60)]
+    if body["shape"] in {"ellipse", "hexagon"}:
+        assert all(one.size_x_mm == one.size_y_mm for one in sizes)
 
 
 def test_every_draw_of_the_largest_scene_can_exist() -> None:

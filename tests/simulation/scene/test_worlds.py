@@ -120,6 +120,8 @@ def test_a_world_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, text:
         ),
         (BOX + "[start]\nx_range = 3.0\n", "start.x_range: unknown key; did you mean 'x_range_mm'?"),
         (BOX + "[start]\nx_range_mm = -3.0\n", "start.x_range_mm: expected a number > 0.0 and <= 60.0"),
+        (BOX + "[motion]\nspeed = 3.0\n", "motion.speed: unknown key; allowed: descent_speed_mm_s"),
+        ("start = 5\n" + BOX, "start: Input should be a valid dictionary"),
         (BOX + "[blocks]\ngap_mm = 60.0\n", "blocks.gap_mm: 60.0 must exceed object.size_x_mm 60.0"),
         ('object = "box"\n', "object: Input should be"),
         ("", "object: Field required"),
@@ -176,6 +178,14 @@ def test_blocks_are_free_unless_the_object_or_the_world_fixes_them(tmp_path: Pat
     for free in (True, False):
         world = World("w", {"blocks.free": free})
         assert Job(**job_in(world, str(fixed), 0, (8.0, 5.0), 1)).build_scene().blocks.free is free
+
+
+def test_an_object_may_state_any_table_of_a_world_and_the_world_takes_precedence(tmp_path: Path) -> None:
+    tables = SLIPPERY[: SLIPPERY.index("[world]")]
+    scene = load_scene(write(tmp_path, "box", BOX + tables))
+    assert (scene.gel.friction, scene.grasp.force_n, scene.camera.fps, scene.speed_mm_s) == (0.55, 15.0, 60, 20.0)
+    slow = load_world(write(tmp_path, "slow", "[motion]\ndescent_speed_mm_s = 4.0\n"))
+    assert slow.around(scene).speed_mm_s == 4.0
 
 
 def test_every_key_of_the_format_is_read(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from reporting.statistics import wilson
 from service.decision.models import ModelSet, load_models
+from simulation.__main__ import main
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import insert
 from simulation.scene import drawn
@@ -24,6 +25,15 @@ def fits(**fault: object) -> Job:
     """An insertion that goes in at once, with a fault in its descent."""
     given = {"fingers": ("left", "right"), "attempt": 1, "depth_mm": 8.0, **fault} if fault else {}
     return Job("circle", 0, 0.3, 0.0, 3, "belief", perception="fields", fault=given)
+
+
+def test_a_world_whose_lateness_is_unknown_is_not_played_and_its_folder_is_of_no_other(tmp_path, capsys):
+    folder = tiny_models.write_models(tmp_path / "models")  # they decide nothing, so no press measures anything
+    words = ["trust", "--out", str(tmp_path), "--docs", str(tmp_path), "--models", str(folder), "-j", "1"]
+    words += ["--objects", "circle", "--count", "1", "--drawn-n", "1", "--layer-share", "0"]
+    for seed, why in ((1, "lateness was measured: nothing to play"), (2, "of other worlds, objects or seed")):
+        assert main([*words, "--seed", str(seed)]) == 2
+        assert why in capsys.readouterr().err
 
 
 def test_without_a_fault_it_is_claimed_and_true(models):

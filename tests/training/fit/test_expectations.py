@@ -15,11 +15,15 @@ from training.fit.expectations import of_errors, of_insertions
 USUAL = Expectations()
 
 
-def log_of(path, far_mm, near_mm, per_mm, rng, count=400):
-    """Insertions of two attempts whose object crept outwards by a given amount, a few of them far more."""
+def log_of(path, far_mm, near_mm, per_mm, rng, count=400, unstated_n=0):
+    """Insertions of two attempts whose object crept outwards by a given amount, a few of them far more.
+
+    The first ones are in a world that states no height, where objects are held at 30 mm.
+    """
     with path.open("w") as file:
-        for _ in range(count):
+        for number in range(count):
             height_mm, x_mm = float(rng.uniform(30, 90)), float(rng.uniform(-14, 14))
+            height_mm = 30.0 if number < unstated_n else height_mm
             move = float(rng.uniform(-5, 5))
             crept = near_mm + per_mm * (height_mm - 30) if abs(x_mm) < USUAL.near_mm else far_mm
             crept += float(rng.normal(0, 0.2)) + (8.0 if rng.random() < 0.05 else 0.0)
@@ -27,7 +31,8 @@ def log_of(path, far_mm, near_mm, per_mm, rng, count=400):
                 {"error_before": [x_mm, 1.0], "decision": {"dx_mm": move, "dtheta_deg": -0.5}},
                 {"error_before": [x_mm + move + np.sign(x_mm) * crept, 0.5], "decision": {}},
             ]
-            file.write(json.dumps({"changes": {"grasp.height_mm": height_mm}, "trials": trials}) + "\n")
+            changes = {} if number < unstated_n else {"grasp.height_mm": height_mm}
+            file.write(json.dumps({"changes": changes, "trials": trials}) + "\n")
     return path
 
 
@@ -42,12 +47,28 @@ def test_planted_creep_is_found(tmp_path_factory, far_mm, near_mm, per_mm, seed)
     assert 0.1 <= expected.creep_spread_mm < 0.4
 
 
+def test_a_world_that_states_no_height_holds_at_30_mm(tmp_path):
+    log = log_of(tmp_path / "log.jsonl", 0.5, 0.2, 0.03, np.random.default_rng(1), count=800, unstated_n=500)
+    expected = of_insertions([log], USUAL)
+    assert expected.creep_near_mm == pytest.approx(0.2, abs=0.1)
+    assert expected.creep_near_mm_per_mm == pytest.approx(0.03, abs=0.003)
+
+
+def test_a_line_that_a_kill_truncated_is_left_out(tmp_path):
+    log = log_of(tmp_path / "log.jsonl", 0.5, 0.2, 0.0, np.random.default_rng(1))
+    whole = of_insertions([log], USUAL)
+    first, *others = log.read_text().splitlines(keepends=True)
+    log.write_text(first + first[:40] + "\n" + "".join(others))
+    assert of_insertions([log], USUAL) == whole
+
+
 def test_too_few_attempts_and_a_foreign_file_are_refused(tmp_path):
     with pytest.raises(ContractError, match="expected at least"):
         of_insertions([log_of(tmp_path / "few.jsonl", 0.3, 0.3, 0.0, np.random.default_rng(0), count=5)], USUAL)
-    (tmp_path / "other.jsonl").write_text("no json\n")
-    with pytest.raises(ContractError, match=r"\.insertions\.jsonl of an evaluation"):
-        of_insertions([tmp_path / "other.jsonl"], USUAL)
+    for other in (b"no json\n", b"\xff\xfe\x00"):
+        (tmp_path / "other.jsonl").write_bytes(other)
+        with pytest.raises(ContractError, match=r"\.insertions\.jsonl of an evaluation"):
+            of_insertions([tmp_path / "other.jsonl"], USUAL)
 
 
 def test_prior_and_spread_follow_the_data():

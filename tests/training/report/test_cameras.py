@@ -35,3 +35,13 @@ def test_presses_too_quick_for_the_lowest_rate_count_at_no_rate(config, tmp_path
 
 def test_a_speed_that_no_press_has_gets_no_row(config, tmp_path):
     assert SPEEDS_MM_S.keys() & rows_of(down(60), config, tmp_path).keys() == {"7 to 14 mm/s"}
+
+
+def test_a_dataset_without_test_presses_or_with_quick_ones_alone_gets_no_row_of_a_rate(config, tmp_path):
+    source = down(60)
+    for trial in source.trials:
+        trial.speed_mm_s = 30.0
+    assert rows_of(source, config, tmp_path / "quick").keys() == {"18 to 35 mm/s"}
+    for trial in source.trials:
+        trial.split = "train" if trial.split == "test" else trial.split
+    assert rows_of(source, config, tmp_path / "none") == {}
