@@ -33,6 +33,7 @@ class Summary(BaseModel):
 
     Of its last reference: ``markers_share`` that the worse finger showed, ``brightness_grey`` of both pictures. And
     ``gel_distance`` of the gel that is less like the one that was calibrated, when the open gels were learnt.
+    ``held_over``: see `OpenGels`.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -42,6 +43,7 @@ class Summary(BaseModel):
     cause: str | None = None
     object: str | None = None
     continues: str | None = None
+    held_over: str = ""
     seconds: float | None = None
     decisions: list[Decided] = []
     doubts: list[dict[str, Any]] = []

@@ -243,8 +243,7 @@ class InsertionManager:
         if insertion is None:
             return
         self._ended[finished.insertion_id] = finished
-        session = insertion.session
-        self._decided, self.held_over = session.decider, session.open_gels.after(finished, session.attempt)
+        self._decided, self.held_over = insertion.session.decider, insertion.held_over
         self._tried_n = insertion.tried_n + descended_n(finished.cause, finished.attempts, finished.doubts)
         while len(self._ended) > REMEMBERED_N:
             self._ended.popitem(last=False)

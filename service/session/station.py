@@ -20,7 +20,6 @@ from typing import Any
 from service.cameras.capture import Camera, CameraError, CameraFrame, Pairer, now_ns
 from service.cameras.sources import PushSource, open_source
 from service.contract import FINGERS, ContractError, Finger, FramePair, wire
-from service.decision.held_tilt import UNSEEN
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from service.observability.hub import Hub
@@ -28,6 +27,7 @@ from service.perception.rectification import Calibration
 from service.recordings.recovery import recover
 from service.session.factory import make_session
 from service.session.insertion import Insertion, Send
+from service.session.learn_open import left_by_last
 from service.session.manager import InsertionManager
 from service.session.memory import give_back
 from service.session.warm_up import warm_up
@@ -288,9 +288,9 @@ def open_station(settings: Settings) -> Station:
             f" the models expect {models.card.frame.shape[1::-1]}; calibrate for that size"
         )
     Path(settings.recordings).mkdir(parents=True, exist_ok=True)
-    interrupted = recover(settings.recordings)
+    recover(settings.recordings)
     station = Station(settings, models, calibration)
-    station.manager.held_over = UNSEEN if interrupted else ""  # that service may have ended in the middle of a press
+    station.manager.held_over = left_by_last(settings.recordings)
     if settings.shadow:
         station.versions.give(settings.shadow, at_start=True)
     return station
