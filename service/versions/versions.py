@@ -130,8 +130,8 @@ class Versions:
         """Let a folder's networks run in shadow, replacing the present shadow.
 
         Raises ContractError if they cannot serve, cannot be compared, already decide, or were rejected. A setting
-        repeats the same request ``at_start`` each time: a version that has a role keeps it, a rejected one is a
-        `problem`.
+        repeats the same request ``at_start`` each time: a version that has a role keeps it, and one that was rejected,
+        or cannot be compared with a new release, is a `problem`.
         """
         models = load_models(folder)
         with self._lock:
@@ -140,15 +140,21 @@ class Versions:
                 if not at_start and version != wiring.beside.get("shadow"):
                     raise ContractError(f"{folder} holds version {version}, which decides now, or did before")
                 return
-            if why := wiring.rejected.get(version):
-                self.problem = f"{folder} holds version {version}, which was rejected: {why}"
-                if at_start:
-                    return
-                raise ContractError(self.problem)
-            if differs := self._now.active.card.incomparable(models.card):
-                raise ContractError(f"{folder} cannot run in shadow: {differs[0]}")
+            if why := self._objection(version, models):
+                if not at_start:
+                    raise ContractError(f"{folder} {why}")
+                self.problem = f"{folder} {why}"
+                return
             kept = {**self._now.networks, self._store.keep(models): self._store.load(version)}
             self._change("shadow", version, f"given as {folder}", wiring.with_one("shadow", version, Contest()), kept)
+            self.problem = ""
+
+    def _objection(self, version: str, models: ModelSet) -> str:
+        """Why a version may not run in shadow; empty if it may."""
+        if why := self._now.wiring.rejected.get(version):
+            return f"holds version {version}, which was rejected: {why}"
+        differs = self._now.active.card.incomparable(models.card)
+        return f"cannot run in shadow: {differs[0]}" if differs else ""
 
     def drop(self) -> None:
         """Remove the shadow; raises ContractError if there is none."""

@@ -110,6 +110,30 @@ def test_another_release_begins_anew(tmp_path: Path, three: list[Path]) -> None:
         assert opened.state().previous is None
 
 
+def test_a_shadow_of_the_settings_that_the_new_release_cannot_be_compared_with_stops_no_cell(
+    tmp_path: Path, three: list[Path]
+) -> None:
+    older = tiny_models.write_models(tmp_path / "older", frames_per_decision=6)
+    with contextlib.closing(Versions(tmp_path / "versions", load_models(three[0]), quiet)) as opened:
+        opened.give(older, at_start=True)
+        assert opened.state().shadow is None
+        assert opened.state().problem.startswith(f"{older} cannot run in shadow: frames_per_decision: ")
+        with pytest.raises(ContractError, match="cannot run in shadow"):
+            opened.give(older)
+        opened.give(three[1])
+        assert opened.state().problem == "", "a shadow runs"
+
+
+def test_a_shadow_that_is_refused_by_hand_leaves_no_problem_behind(tmp_path: Path, three: list[Path]) -> None:
+    with contextlib.closing(promoted(tmp_path / "versions", three)) as opened:
+        opened.roll_back()
+        opened.give(three[2])
+        with pytest.raises(ContractError, match="which was rejected"):
+            opened.give(three[1])
+        assert opened.state().shadow.version == version_of(load_models(three[2]))
+        assert opened.state().problem == ""
+
+
 def test_two_services_do_not_share_their_versions(tmp_path: Path, three: list[Path]) -> None:
     first = promoted(tmp_path / "versions", three)
     with pytest.raises(ContractError, match="give each its own --state"):
