@@ -252,6 +252,8 @@ class Station:
         """
         try:
             self._swap(load_models(self.settings.models))
+        except OSError as error:
+            raise ContractError(f"the old models stay: {error}") from None
         finally:
             give_back()  # one or two sets of networks: about 30 MB that the allocator would keep
 
