@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -178,3 +179,28 @@ def test_a_recording_that_cannot_be_recovered_stays_as_it_is_and_stops_nothing(
         "a/insertion.mcap.part",
         "b/insertion.mcap.part",
     ]
+
+
+def test_a_part_that_cannot_even_be_opened_stops_nothing(tmp_path: Path) -> None:
+    (tmp_path / "x" / "insertion.mcap.part").mkdir(parents=True)
+    assert recover(tmp_path) == []
+
+
+def test_an_insertion_that_is_removed_meanwhile_makes_no_trouble_for_the_next_one(tmp_path: Path) -> None:
+    for number in range(100):  # measured first, so that the last one has time to go
+        (tmp_path / f"20250101T000000_{number}").mkdir()
+    folder, ended = tmp_path / "20260101T000000_a", threading.Event()
+
+    def come_and_go() -> None:
+        while not ended.is_set():
+            folder.mkdir()
+            folder.rmdir()
+
+    thread = threading.Thread(target=come_and_go)
+    thread.start()
+    try:
+        for _ in range(50):
+            make_room(tmp_path, 1 << 30)
+    finally:
+        ended.set()
+        thread.join()
