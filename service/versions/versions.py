@@ -114,7 +114,8 @@ class Versions:
         wiring, networks = now = self._now
         if not wiring.beside or deciding is not now.active:
             return None
-        return Beside(wiring.active, networks, limits, controller)
+        used = {version: networks[version] for version in (wiring.active, *wiring.beside.values())}
+        return Beside(wiring.active, used, limits, controller)
 
     def state(self) -> State:
         """The active version and those beside it with their evidence."""

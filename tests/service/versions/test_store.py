@@ -13,6 +13,7 @@ import pytest
 
 from service.contract import ContractError
 from service.decision.models import load_models
+from service.session.state_machine import DEFAULT_LIMITS
 from service.versions.store import WIRING, Store, version_of
 from service.versions.versions import Versions
 from tests.service import tiny_models
@@ -122,6 +123,14 @@ def test_a_shadow_of_the_settings_that_the_new_release_cannot_be_compared_with_s
             opened.give(older)
         opened.give(three[1])
         assert opened.state().problem == "", "a shadow runs"
+
+
+def test_a_release_that_has_no_part_any_more_answers_nothing(tmp_path: Path, three: list[Path]) -> None:
+    with contextlib.closing(promoted(tmp_path / "versions", three)) as opened:
+        opened.give(three[2])
+        opened.promote()
+        beside = opened.beside(opened.active, DEFAULT_LIMITS, "belief")
+        assert set(beside.networks) == {version_of(load_models(folder)) for folder in three[1:]}
 
 
 def test_a_shadow_that_is_refused_by_hand_leaves_no_problem_behind(tmp_path: Path, three: list[Path]) -> None:
