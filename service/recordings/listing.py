@@ -100,6 +100,17 @@ def list_recordings(root: Path, most_n: int | None = None) -> tuple[list[dict[st
     return list(islice(each_recording(root, problems), most_n)), problems
 
 
+def held_over(root: Path) -> str | None:
+    """What the last insertion holds over to the next one, see `OpenGels`; None where that is not known.
+
+    One that broke off, or of which nothing can be read, may have ended in the middle of a press.
+    """
+    listed, problems = list_recordings(root, most_n=1)
+    if problems or (listed and listed[0]["outcome"] == "interrupted"):
+        return None
+    return str(listed[0]["held_over"]) if listed else ""
+
+
 def each_recording(root: Path, problems: list[str]) -> Iterator[dict[str, Any]]:
     """Finished insertions, newest first; what keeps others from being listed is added to ``problems``."""
     try:

@@ -2,13 +2,11 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from service.contract import FINGERS, Finger, TactileFrame, wire
 from service.decision.attempt import Attempt
 from service.decision.held_tilt import UNSEEN
 from service.perception.observation import FingerWatch
-from service.recordings.listing import list_recordings
 
 
 @dataclass(slots=True)
@@ -68,14 +66,3 @@ class OpenGels:
         self._asked_ns = None
         detail = f"the open gels could not be learnt: {self._problem}"
         return [wire.Fault(insertion_id=insertion_id, code="open_gel", detail=detail, fatal=False)]
-
-
-def left_by_last(recordings: Path) -> str:
-    """What the last insertion held over, for a service that starts: the object may still be in the hand.
-
-    One that broke off, or of which nothing can be read, may have ended in the middle of a press.
-    """
-    listed, problems = list_recordings(recordings, most_n=1)
-    if problems or (listed and listed[0]["outcome"] == "interrupted"):
-        return UNSEEN
-    return str(listed[0]["held_over"]) if listed else ""

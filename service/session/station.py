@@ -20,14 +20,15 @@ from typing import Any
 from service.cameras.capture import Camera, CameraError, CameraFrame, Pairer, now_ns
 from service.cameras.sources import PushSource, open_source
 from service.contract import FINGERS, ContractError, Finger, FramePair, wire
+from service.decision.held_tilt import UNSEEN
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from service.observability.hub import Hub
 from service.perception.rectification import Calibration
+from service.recordings.listing import held_over
 from service.recordings.recovery import recover
 from service.session.factory import make_session
 from service.session.insertion import Insertion, Send
-from service.session.learn_open import left_by_last
 from service.session.manager import InsertionManager
 from service.session.memory import give_back
 from service.session.warm_up import warm_up
@@ -292,7 +293,8 @@ def open_station(settings: Settings) -> Station:
     Path(settings.recordings).mkdir(parents=True, exist_ok=True)
     recover(settings.recordings)
     station = Station(settings, models, calibration)
-    station.manager.held_over = left_by_last(settings.recordings)
+    left = held_over(settings.recordings)
+    station.manager.held_over = UNSEEN if left is None else left
     if settings.shadow:
         station.versions.give(settings.shadow, at_start=True)
     return station
