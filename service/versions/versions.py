@@ -5,6 +5,8 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import structlog
+
 from service.contract.frames import Contract, ContractError
 from service.contract.wire import Cause, ControllerName, Finished, Limits
 from service.decision.models import ModelSet, load_models
@@ -15,6 +17,7 @@ from service.versions.store import Store, Wiring, version_of
 BLAMED: frozenset[Cause] = frozenset({"attempts", "no_decision", "not_confirmed"})
 """Causes of an end that decisions may be responsible for."""
 Publish = Callable[[str, Any], None]
+log = structlog.get_logger()
 
 
 class Version(Contract):
@@ -130,32 +133,34 @@ class Versions:
     def give(self, folder: Path, *, at_start: bool = False) -> None:
         """Let a folder's networks run in shadow, replacing the present shadow.
 
-        Raises ContractError if they cannot serve, cannot be compared, already decide, or were rejected. A setting
-        repeats the same request ``at_start`` each time: a version that has a role keeps it, and one that was rejected,
-        or cannot be compared with a new release, is a `problem`.
+        Raises ContractError if they cannot serve, cannot be compared, already decide, or were rejected, OSError as
+        usual. A setting repeats the same request ``at_start`` each time: a version that has a role keeps it, and what
+        is refused is a `problem`, because the cell works without a shadow.
         """
+        try:
+            self._give(folder, again=at_start)
+        except (ContractError, OSError) as error:
+            if not at_start:
+                raise
+            log.warning("no shadow", folder=str(folder), why=str(error))
+            if "shadow" not in self._now.wiring.beside:
+                self.problem = str(error)
+
+    def _give(self, folder: Path, *, again: bool) -> None:
         models = load_models(folder)
         with self._lock:
             version, wiring = version_of(models), self._now.wiring
             if version in {wiring.active, *wiring.beside.values()}:
-                if not at_start and version != wiring.beside.get("shadow"):
+                if not again and version != wiring.beside.get("shadow"):
                     raise ContractError(f"{folder} holds version {version}, which decides now, or did before")
                 return
-            if why := self._objection(version, models):
-                if not at_start:
-                    raise ContractError(f"{folder} {why}")
-                self.problem = f"{folder} {why}"
-                return
+            if why := wiring.rejected.get(version):
+                raise ContractError(f"{folder} holds version {version}, which was rejected: {why}")
+            if differs := self._now.active.card.incomparable(models.card):
+                raise ContractError(f"{folder} cannot run in shadow: {differs[0]}")
             kept = {**self._now.networks, self._store.keep(models): self._store.load(version)}
             self._change("shadow", version, f"given as {folder}", wiring.with_one("shadow", version, Contest()), kept)
             self.problem = ""
-
-    def _objection(self, version: str, models: ModelSet) -> str:
-        """Why a version may not run in shadow; empty if it may."""
-        if why := self._now.wiring.rejected.get(version):
-            return f"holds version {version}, which was rejected: {why}"
-        differs = self._now.active.card.incomparable(models.card)
-        return f"cannot run in shadow: {differs[0]}" if differs else ""
 
     def drop(self) -> None:
         """Remove the shadow; raises ContractError if there is none."""

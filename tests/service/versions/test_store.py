@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -111,18 +112,28 @@ def test_another_release_begins_anew(tmp_path: Path, three: list[Path]) -> None:
         assert opened.state().previous is None
 
 
-def test_a_shadow_of_the_settings_that_the_new_release_cannot_be_compared_with_stops_no_cell(
-    tmp_path: Path, three: list[Path]
+@pytest.mark.parametrize("what", ["incomparable", "gone", "no room"])
+def test_a_shadow_of_the_settings_that_cannot_run_is_a_problem_and_stops_no_cell(
+    tmp_path: Path, three: list[Path], what: str
 ) -> None:
-    older = tiny_models.write_models(tmp_path / "older", frames_per_decision=6)
-    with contextlib.closing(Versions(tmp_path / "versions", load_models(three[0]), quiet)) as opened:
+    older, home = tmp_path / "older", tmp_path / "versions"
+    if what != "gone":
+        tiny_models.write_models(older, frames_per_decision=6 if what == "incomparable" else 8)
+    if what == "no room":
+        home.touch()
+    with contextlib.closing(Versions(home, load_models(three[0]), quiet)) as opened:
         opened.give(older, at_start=True)
         assert opened.state().shadow is None
-        assert opened.state().problem.startswith(f"{older} cannot run in shadow: frames_per_decision: ")
-        with pytest.raises(ContractError, match="cannot run in shadow"):
+        expected = {"incomparable": "cannot run in shadow: frames_per_decision", "gone": "no *.onnx model in"}
+        assert expected.get(what, "versions") in opened.state().problem
+        with pytest.raises((ContractError, OSError)):
             opened.give(older)
+        home.unlink() if what == "no room" else None
         opened.give(three[1])
         assert opened.state().problem == "", "a shadow runs"
+        shutil.rmtree(three[1])
+        opened.give(three[1], at_start=True)
+        assert opened.state().problem == "", "its copy does"
 
 
 def test_a_release_that_has_no_part_any_more_answers_nothing(tmp_path: Path, three: list[Path]) -> None:
