@@ -12,7 +12,7 @@ from service.contract.wire import Cause, ControllerName, Finished, Limits
 from service.decision.models import ModelSet, load_models
 from service.versions.beside import Beside
 from service.versions.contest import ENOUGH, FAILED, Contest, Role
-from service.versions.store import Store, Wiring, version_of
+from service.versions.store import WIRING, Store, Wiring, version_of
 
 BLAMED: frozenset[Cause] = frozenset({"attempts", "no_decision", "not_confirmed"})
 """Causes of an end that decisions may be responsible for."""
@@ -90,7 +90,11 @@ class Versions:
     def _load(self, wiring: Wiring) -> None:
         networks = dict(self._now.networks)
         if wiring.active not in networks:
-            networks[wiring.active] = self._store.load(wiring.active)
+            try:
+                networks[wiring.active] = self._store.load(wiring.active)
+            except (ContractError, OSError) as error:
+                remedy = f"remove {self._store.home / WIRING} to begin anew with the released networks"
+                raise ContractError(f"the version that decides is lost: {error}; {remedy}") from None
         for role, version in wiring.beside.items():
             try:
                 networks[version] = networks.get(version) or self._store.load(version)

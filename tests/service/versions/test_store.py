@@ -87,7 +87,10 @@ def test_an_edited_wiring_and_an_exchanged_version_are_refused(tmp_path: Path, t
     (home / WIRING).write_text(text)
     for path in (home / active).iterdir():
         path.write_bytes((three[2] / path.name).read_bytes())
-    with pytest.raises(ContractError, match="does not hold version"):
+    with pytest.raises(ContractError, match=r"does not hold version .*; remove .*wiring.json to begin anew"):
+        Versions(home, load_models(three[0]), quiet)
+    shutil.rmtree(home / active)
+    with pytest.raises(ContractError, match=r"remove .*wiring.json to begin anew"):
         Versions(home, load_models(three[0]), quiet)
 
 
