@@ -13,7 +13,7 @@ from service.contract.frames import first_error
 from service.contract.replies import descended_n
 from service.contract.wire_parts import errors_left
 from service.recordings.recovery import is_being_written
-from service.recordings.writer import NAME
+from service.recordings.writer import NAME, UNREADABLE
 
 
 class Decided(BaseModel):
@@ -122,7 +122,9 @@ def each_recording(root: Path, problems: list[str]) -> Iterator[dict[str, Any]]:
         try:
             yield _entry(folder)
         except FileNotFoundError:
-            if folder.is_dir() and not is_being_written(folder):
+            if (folder / UNREADABLE).is_file():
+                problems.append(f"{folder.name}: broken off before there was anything to read; remove it")
+            elif folder.is_dir() and not is_being_written(folder):
                 problems.append(f"{folder.name}: broken off; the next start of the service recovers what can be read")
         except (OSError, ValueError) as error:
             problems.append(f"{folder.name}: summary.json: {_reason(error)}")

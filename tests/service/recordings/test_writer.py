@@ -16,6 +16,7 @@ from service import __main__ as entry
 from service.cameras.capture import CameraFrame
 from service.contract import FrameSpec, TactileFrame, wire
 from service.perception.finger import TactileFinger
+from service.recordings.listing import list_recordings
 from service.recordings.reader import Recording, RecordingError
 from service.recordings.recovery import recover
 from service.recordings.retention import make_room, prune
@@ -117,10 +118,13 @@ def test_a_recording_that_is_being_written_is_left_alone(tmp_path: Path) -> None
 
 
 def test_a_part_that_holds_nothing_is_put_aside_and_not_tried_again(tmp_path: Path) -> None:
-    (tmp_path / "x").mkdir()
-    (tmp_path / "x" / "insertion.mcap.part").write_bytes(os.urandom(1000))
+    folder = tmp_path / "20260101T000000_x"
+    folder.mkdir()
+    (folder / "insertion.mcap.part").write_bytes(os.urandom(1000))
+    assert "the next start of the service recovers" in list_recordings(tmp_path)[1][0]
     assert recover(tmp_path) == []
-    assert [path.name for path in (tmp_path / "x").iterdir()] == ["insertion.mcap.unreadable"]
+    assert [path.name for path in folder.iterdir()] == ["insertion.mcap.unreadable"]
+    assert "before there was anything to read; remove it" in list_recordings(tmp_path)[1][0]
 
 
 def test_the_disk_use_of_recordings_is_bounded_while_one_is_written(tmp_path: Path) -> None:
