@@ -75,6 +75,7 @@ class Held(RuntimeError):  # noqa: N818 it says what is
 class Task:
     """What is to be inserted; ``stop_lag_s`` is how long your arm goes on after `stop`, measured.
 
+    ``name`` is that of this insertion, a new one each time.
     ``continues`` names the insertion of the same object that a person has taken out of the hand and put back upright.
     """
 

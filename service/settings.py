@@ -2,20 +2,22 @@
 
 import argparse
 import ipaddress
+import json
 import os
 import re
 import socket
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self, get_args
+from typing import Annotated, Any, Self, get_args
 
-from pydantic import Field, SecretStr, ValidationError, field_validator, model_validator
+from pydantic import BeforeValidator, Field, SecretStr, ValidationError, field_validator, model_validator
 from pydantic_settings import (
     BaseSettings,
     CliApp,
     CliSettingsSource,
     InitSettingsSource,
+    NoDecode,
     PydanticBaseSettingsSource,
     SettingsConfigDict,
 )
@@ -47,6 +49,19 @@ class _Help(argparse.RawDescriptionHelpFormatter):
 
     def _expand_help(self, action: argparse.Action) -> str:
         return re.sub(r" \(default(: null| factory: \w+)\)", "", super()._expand_help(action))
+
+
+def _several(given: Any) -> Any:
+    """Texts with commas between them, as variables have them, or a JSON list."""
+    if not isinstance(given, str):
+        return given
+    try:
+        return json.loads(given)
+    except ValueError:
+        return [one.strip() for one in given.split(",") if one.strip()]
+
+
+Several = Annotated[tuple[str, ...], NoDecode, BeforeValidator(_several)]
 
 
 class SettingsError(ContractError):
@@ -103,8 +118,8 @@ class Settings(BaseSettings):
     token_admin: SecretStr | None = Field(None, description="for loading models, deleting recordings; default: made")
     tls_certificate: Path | None = Field(None, description="PEM certificate; serve https and wss")
     tls_key: Path | None = Field(None, description="PEM key of the certificate")
-    allowed_origins: tuple[str, ...] = Field((), description="browser origins allowed besides our own pages")
-    allowed_hosts: tuple[str, ...] = Field((), description="names of this service in requests, besides its own")
+    allowed_origins: Several = Field((), description="more origins of pages in browsers, comma-separated")
+    allowed_hosts: Several = Field((), description="more names of this service in requests, comma-separated")
     requests_per_s: float = Field(1000.0, ge=0, description="most requests a second of one address; 0 for any number")
     log_json: bool = Field(False, description="one JSON object a log line")
 
@@ -114,6 +129,11 @@ class Settings(BaseSettings):
         if token is not None:
             check_token(token.get_secret_value())
         return token
+
+    @field_validator("shadow", "calibration", mode="before")
+    @classmethod
+    def _left_out(cls, path: Any) -> Any:
+        return path or None  # a variable left empty names no file
 
     @field_validator("allowed_hosts")
     @classmethod
@@ -144,8 +164,13 @@ class Settings(BaseSettings):
 
         Another name is that of a page that made a browser resolve it to this address (DNS rebinding).
         """
-        listens = {f"[{self.host}]" if ":" in self.host else self.host} - {"0.0.0.0", "[::]"}  # noqa: S104
+        listens = {self.host_in_url} - {"0.0.0.0", "[::]"}  # noqa: S104
         return (*sorted({"localhost", "127.0.0.1", "[::1]", socket.gethostname()} | listens), *self.allowed_hosts)
+
+    @property
+    def host_in_url(self) -> str:
+        """The listening address as URLs have it: IPv6 in brackets."""
+        return f"[{self.host}]" if ":" in self.host else self.host
 
     @property
     def is_loopback(self) -> bool:
@@ -184,10 +209,11 @@ def read_settings(arguments: Sequence[str]) -> Settings:
         raise SettingsError(f"{error}{hint.replace('_', '-')} ({HELP})") from error
     except ValidationError as error:
         first = error.errors()[0]
-        name = str(first["loc"][0]) if first["loc"] else "settings"
+        name = str(first["loc"][0]) if first["loc"] else ""
         choices = get_args(Settings.model_fields[name].annotation) if first["type"] == "literal_error" else ()
         hint = nearest(str(first["input"]), choices) if choices else ""
-        raise SettingsError(f"{_origin(name, rest, path, table)}: {first['msg']}{hint} ({HELP})") from error
+        where = f"{_origin(name, rest, path, table)}: " if name else ""
+        raise SettingsError(f"{where}{first['msg']}{hint} ({HELP})") from error
 
 
 def _take_config(arguments: Sequence[str]) -> tuple[list[str], str, dict[str, Any]]:

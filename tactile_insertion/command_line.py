@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; invalid input gives one line on standard error and exit code 2."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in {"-h", "--help"}:
-        print(usage())
+        _show(usage())
         return DONE if words else WRONG_INPUT
     if words[0] == "--version":
         print(f"tactile-insertion {_version()}")
@@ -85,8 +85,16 @@ def _help(entry: Callable[[list[str]], int], words: list[str]) -> int:
             return int(entry(words))
     finally:
         width = min(WIDTH, shutil.get_terminal_size().columns)
-        for line in written.getvalue().splitlines():
-            print(line if len(line) <= width else textwrap.fill(line, width))
+        lines = written.getvalue().splitlines()
+        _show("\n".join(line if len(line) <= width else textwrap.fill(line, width) for line in lines))
+
+
+def _show(text: str) -> None:
+    """Print a text of which a reader may want the beginning only, as with ``| head``."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _print_completion(shell: list[str]) -> int:

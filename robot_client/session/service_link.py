@@ -6,11 +6,9 @@ a service that does not answer them is a lost link, even while TCP still holds.
 
 import asyncio
 import contextlib
-import ipaddress
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from urllib.parse import urlsplit
 
 from pydantic import Field
 from websockets.asyncio.client import ClientConnection, connect
@@ -21,7 +19,7 @@ from robot_client.ports import DriverError, Post
 from robot_client.silence import Silence
 from service.contract import wire
 from service.contract.frames import Contract, ContractError
-from service.contract.token import TOKEN_FILE, read_token, state_folder
+from service.contract.token import TOKEN_FILE, is_here, read_token, state_folder
 
 MOST_WAITING = 32  # messages; a longer queue would delay reports of stops too much
 
@@ -40,7 +38,7 @@ class ServiceSettings(Contract):
 
     def token(self) -> str | None:
         """The token for driving, None if none is found; raises DriverError if its file is unusable."""
-        if self.token_file is None and not _is_here(self.url):
+        if self.token_file is None and not is_here(self.url):
             return None
         try:
             return read_token(self.token_file or state_folder() / TOKEN_FILE)
@@ -50,15 +48,6 @@ class ServiceSettings(Contract):
             raise DriverError(f"service: service.token_file {self.token_file}: {error.strerror}") from None
         except ContractError as error:
             raise DriverError(f"service: {error}") from None
-
-
-def _is_here(url: str) -> bool:
-    """Whether a URL leads to this machine: its token must not go elsewhere."""
-    host = urlsplit(url).hostname or ""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 @dataclass(slots=True)

@@ -142,7 +142,7 @@ class Camera:
                     self._publish(capture)
                 detail = f"{self.source.name} ended"
             except Exception as error:
-                detail = f"{self.source.name}: {error or type(error).__name__}"
+                detail = f"{self.source.name}: {str(error) or type(error).__name__}"
             if not self._stop.is_set():
                 self._fault("lost", "camera_lost", detail)
                 self._stop.wait(RETRY_S)

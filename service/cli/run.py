@@ -91,7 +91,7 @@ def main(arguments: Sequence[str]) -> int:
             server = web_server(app, settings)
             stop_searching_what_stays()
             scheme = "https" if settings.tls_certificate else "http"
-            print(f"service ready at {scheme}://{settings.host}:{sock.getsockname()[1]}/", flush=True)
+            print(f"service ready at {scheme}://{settings.host_in_url}:{sock.getsockname()[1]}/", flush=True)
             if app.state.access.token_file:
                 print(f"the token for driving and administration is in {app.state.access.token_file}", flush=True)
             server.run(sockets=[sock])

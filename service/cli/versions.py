@@ -10,7 +10,7 @@ import httpx
 
 from service.contract import ContractError
 from service.contract.text import fitted, printable
-from service.contract.token import TOKEN_FILE, read_token, state_folder
+from service.contract.token import TOKEN_FILE, is_here, read_token, state_folder
 
 ASKED = {
     "show": ("GET", ""),
@@ -30,7 +30,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("what", nargs="?", choices=ASKED, default="show", help="show (default), or a manual change")
     parser.add_argument("folder", nargs="?", type=Path, help="for shadow: folder of the networks to run in shadow")
     parser.add_argument("--url", default="http://127.0.0.1:8000", help="address of the service")
-    parser.add_argument("--token-file", type=Path, default=state_folder() / TOKEN_FILE, help="file of the admin token")
+    parser.add_argument("--token-file", type=Path, help="file of the token; default that of a service of this user")
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
     options = parser.parse_args(arguments)
     if (options.what == "shadow") != (options.folder is not None):
@@ -42,17 +42,30 @@ def main(arguments: Sequence[str]) -> int:
 
 def _ask(options: argparse.Namespace) -> dict[str, Any]:
     method, path = ASKED[options.what]
-    token = {} if options.what == "show" else {"Authorization": f"Bearer {read_token(options.token_file)}"}
+    token_file = options.token_file or _own_token_file(options)
+    try:
+        token = {"Authorization": f"Bearer {read_token(token_file)}"} if token_file else {}
+    except OSError as error:
+        raise ContractError(f"--token-file {token_file}: {error.strerror}") from None
     params = {"folder": str(options.folder.resolve())} if options.folder else None
     try:
         url = f"{options.url.rstrip('/')}/v1/versions{path}"
         answer = httpx.request(method, url, params=params, headers=token, timeout=TIMEOUT_S)
         state = answer.json()
     except (httpx.HTTPError, httpx.InvalidURL, ValueError) as error:
-        raise ContractError(f"no service answers at {options.url}: {error or type(error).__name__}") from None
+        raise ContractError(f"no service answers at {options.url}: {str(error) or type(error).__name__}") from None
     if answer.is_error:
         raise ContractError(str(state.get("error", answer.status_code)))
     return dict(state)
+
+
+def _own_token_file(options: argparse.Namespace) -> Path | None:
+    """The token of this user's service, for a change on this machine; to show versions there, none is needed."""
+    if options.what == "show":
+        return None
+    if not is_here(options.url):
+        raise ContractError(f"--token-file is needed for {options.url}: this machine's token is not sent elsewhere")
+    return state_folder() / TOKEN_FILE
 
 
 def described(state: dict[str, Any]) -> list[str]:
@@ -60,7 +73,7 @@ def described(state: dict[str, Any]) -> list[str]:
     lines = [f"active    {state['active']['version']}  {state['active']['name']}"]
     for role in ("shadow", "previous"):
         if one := state[role]:
-            evidence = f"evidence {one['evidence']:.2f} of {state['enough']:g}, {one['scored_n']} insertions"
+            evidence = f"evidence {one['evidence']:.2f} of {state['enough']:g}, after {one['ended_n']} insertions"
             lines.append(f"{role:<9} {one['version']}  {one['name']}: {evidence}")
     lines += [f"rejected  {version}  {why}" for version, why in state["rejected"].items()]
     return [*lines, *([state["problem"]] if state["problem"] else [])]

@@ -1,9 +1,11 @@
 """The token that drives a service: made at its first start, and found automatically by the same user's clients."""
 
 import contextlib
+import ipaddress
 import os
 import secrets
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from service.contract.frames import ContractError
 
@@ -21,6 +23,15 @@ def state_folder() -> Path:
     if given := os.environ.get("TACTILE_STATE"):
         return Path(given)
     return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "tactile-insertion"
+
+
+def is_here(url: str) -> bool:
+    """Whether a URL leads to this machine: its token must not go elsewhere."""
+    host = urlsplit(url).hostname or ""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def check_token(token: str) -> str:

@@ -113,13 +113,9 @@ class ModelSet:
     def role(self, role: str) -> LoadedModel | None:
         return next((step for step in self.steps if step.card.role == role), None)
 
-    def warm_up(self) -> None:
-        for step in self.steps:
-            step.warm_up()
-
 
 def load_model(path: Path) -> LoadedModel:
-    """Open one ONNX file; raise ModelError if it is unreadable, lacks a card, or contradicts its card."""
+    """Open, check and warm up one ONNX file; raise ModelError if it is unreadable, lacks a card, or contradicts it."""
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
@@ -136,8 +132,13 @@ def load_model(path: Path) -> LoadedModel:
     _check_graph(model)
     try:
         check_self_test(card, model.run, str(path))
+        if card.form == "step":
+            model.warm_up()
     except ContractError as error:
         raise ModelError(str(error)) from error
+    except Exception as error:
+        why = str(error).partition("\n")[0]
+        raise ModelError(f"{path} does not run as its card says: {why}") from error
     return model
 
 
@@ -178,9 +179,7 @@ def load_models(folder: Path) -> ModelSet:
     models = tuple(load_model(path) for path in paths)
     steps = _choose_steps(folder, [model for model in models if model.card.form == "step"])
     _check_agreement(steps)
-    chosen = ModelSet(steps, models)
-    chosen.warm_up()
-    return chosen
+    return ModelSet(steps, models)
 
 
 def _choose_steps(folder: Path, candidates: Sequence[LoadedModel]) -> tuple[LoadedModel, ...]:

@@ -13,7 +13,7 @@ from service.contract.frames import first_error
 from service.contract.replies import descended_n
 from service.contract.wire_parts import errors_left
 from service.recordings.recovery import is_being_written
-from service.recordings.writer import NAME
+from service.recordings.writer import NAME, UNREADABLE
 
 
 class Decided(BaseModel):
@@ -33,6 +33,7 @@ class Summary(BaseModel):
 
     Of its last reference: ``markers_share`` that the worse finger showed, ``brightness_grey`` of both pictures. And
     ``gel_distance`` of the gel that is less like the one that was calibrated, when the open gels were learnt.
+    ``held_over``: see `OpenGels`.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -42,6 +43,7 @@ class Summary(BaseModel):
     cause: str | None = None
     object: str | None = None
     continues: str | None = None
+    held_over: str = ""
     seconds: float | None = None
     decisions: list[Decided] = []
     doubts: list[dict[str, Any]] = []
@@ -98,6 +100,17 @@ def list_recordings(root: Path, most_n: int | None = None) -> tuple[list[dict[st
     return list(islice(each_recording(root, problems), most_n)), problems
 
 
+def held_over(root: Path) -> str | None:
+    """What the last insertion holds over to the next one, see `OpenGels`; None where that is not known.
+
+    One that broke off, or of which nothing can be read, may have ended in the middle of a press.
+    """
+    listed, problems = list_recordings(root, most_n=1)
+    if problems or (listed and listed[0]["outcome"] == "interrupted"):
+        return None
+    return str(listed[0]["held_over"]) if listed else ""
+
+
 def each_recording(root: Path, problems: list[str]) -> Iterator[dict[str, Any]]:
     """Finished insertions, newest first; what keeps others from being listed is added to ``problems``."""
     try:
@@ -109,7 +122,9 @@ def each_recording(root: Path, problems: list[str]) -> Iterator[dict[str, Any]]:
         try:
             yield _entry(folder)
         except FileNotFoundError:
-            if folder.is_dir() and not is_being_written(folder):
+            if (folder / UNREADABLE).is_file():
+                problems.append(f"{folder.name}: broken off before there was anything to read; remove it")
+            elif folder.is_dir() and not is_being_written(folder):
                 problems.append(f"{folder.name}: broken off; the next start of the service recovers what can be read")
         except (OSError, ValueError) as error:
             problems.append(f"{folder.name}: summary.json: {_reason(error)}")

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcap.exceptions import McapError
-from mcap.reader import McapReader, make_reader
+from mcap.reader import McapReader
 
 from service.contract import FINGERS
-from service.recordings.reader import RecordingError, pixels_of
+from service.recordings.reader import RecordingError, opened, pixels_of
 from service.recordings.writer import FINAL, IMAGE
 
 TOPICS = {f"/{finger}/{name}" for finger in FINGERS for name in IMAGE.values()}
@@ -38,13 +37,9 @@ def needed(path: Path) -> Need:
 
 def _read(path: Path) -> tuple[dict[str, str], int]:
     """The metadata of a recording, and the bytes that it takes."""
-    try:
-        with path.open("rb") as stream:
-            reader = make_reader(stream)
-            about = next((dict(m.metadata) for m in reader.iter_metadata() if m.name == "insertion"), {})
-            return about, path.stat().st_size + _pictures_bytes(reader)
-    except (McapError, EOFError, OSError) as error:
-        raise RecordingError(f"the recording cannot be read: {error or type(error).__name__}") from error
+    with opened(path) as reader:
+        about = next((dict(m.metadata) for m in reader.iter_metadata() if m.name == "insertion"), {})
+        return about, path.stat().st_size + _pictures_bytes(reader)
 
 
 def _pictures_bytes(reader: McapReader) -> int:

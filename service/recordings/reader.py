@@ -1,5 +1,6 @@
 """Reads recordings, complete ones and those that a crash cut off."""
 
+import contextlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.records import Channel, Message, Metadata
+from mcap.reader import McapReader, make_reader
+from mcap.records import Attachment, Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 
 from service.cameras.capture import decode_jpeg
 from service.contract import ContractError, Finger, TactileFrame
 from service.recordings.schemas import CompressedImage, RawImage
-from service.recordings.writer import IMAGE, OUTCOME, RECOVERY
+from service.recordings.writer import CONFIGURATION, IMAGE, OUTCOME, RECOVERY
 
 
 class RecordingError(ContractError):
@@ -36,16 +37,29 @@ class Entry:
         return content
 
 
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[McapReader]:
+    """The reader of a finished recording; one that is damaged raises RecordingError, whatever its library raises."""
+    try:
+        with path.open("rb") as stream:
+            yield make_reader(stream)
+    except ContractError:
+        raise
+    except Exception as error:
+        raise RecordingError(f"the recording cannot be read: {str(error) or type(error).__name__}") from error
+
+
 class Recording:
     """A recorded insertion; ``complete`` is False if the file ends early (the part read is still valid).
 
-    ``recovered`` is True if it once did and was closed at the next start.
+    ``recovered`` is True if it once did and was closed at the next start. ``settings``: JSON of the service's.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.metadata: dict[str, str] = {}
         self.outcome: dict[str, str] = {}
+        self.settings = b"{}"
         self.entries: list[Entry] = []
         self.complete = self.recovered = False
         if not path.is_file():
@@ -64,6 +78,8 @@ class Recording:
                         channels[record.id] = record
                     case Metadata() if record.name == "insertion":
                         self.metadata = dict(record.metadata)
+                    case Attachment() if record.name == CONFIGURATION:
+                        self.settings = record.data
                     case Metadata() if record.name == OUTCOME:
                         self.outcome = dict(record.metadata)
                     case Metadata() if record.name == RECOVERY:
@@ -72,10 +88,10 @@ class Recording:
                         topic = channels[record.channel_id].topic
                         yield Entry(topic, record.log_time, record.sequence, record.data)
             self.complete = True
-        except (McapError, EOFError, OSError, ValueError, KeyError, IndexError) as error:
+        except Exception as error:  # cut off or damaged: the library has no one error for it
             if not self.metadata:
                 raise RecordingError(
-                    f"{self.path} is no readable MCAP file: {error or type(error).__name__}"
+                    f"{self.path} is no readable MCAP file: {str(error) or type(error).__name__}"
                 ) from error
 
     @property

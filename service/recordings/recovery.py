@@ -29,13 +29,7 @@ def recover(root: Path) -> list[Path]:
     A file that cannot be closed is left unchanged: an old recording must not keep the service from starting. A part
     without any insertion is renamed to ``insertion.mcap.unreadable`` and left for people.
     """
-    recovered = []
-    for part in sorted(root.glob(f"*/{PART}")):
-        with part.open("rb") as stream, contextlib.suppress(BlockingIOError):
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if _closed(part, stream):
-                recovered.append(part.with_name(FINAL))
-    return recovered
+    return [part.with_name(FINAL) for part in sorted(root.glob(f"*/{PART}")) if _closed(part)]
 
 
 def is_being_written(folder: Path) -> bool:
@@ -50,10 +44,14 @@ def is_being_written(folder: Path) -> bool:
     return False
 
 
-def _closed(part: Path, stream: IO[bytes]) -> bool:
+def _closed(part: Path) -> bool:
     """Whether the part was completed; if that is impossible now (a full disk), it is left for the next start."""
     try:
-        return _close(part, stream)
+        with part.open("rb") as stream:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return _close(part, stream)
+    except BlockingIOError:  # it has its writer
+        return False
     except Exception as error:
         part.with_name(RECOVERING).unlink(missing_ok=True)
         log.warning("recording not recovered", path=str(part), error=repr(error))

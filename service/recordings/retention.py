@@ -53,9 +53,10 @@ def prune(root: Path, max_bytes: int) -> list[Path]:
 
 
 def _size_bytes(folder: Path) -> int:
-    """Size of a folder's files; one that vanishes meanwhile (renamed, removed by hand) counts as 0."""
+    """Size of a folder's files; what vanishes meanwhile (renamed, removed from the page), it or a file, counts as 0."""
     total = 0
-    for file in folder.iterdir():
-        with contextlib.suppress(FileNotFoundError):
-            total += file.stat().st_size
+    with contextlib.suppress(FileNotFoundError):
+        for file in folder.iterdir():
+            with contextlib.suppress(FileNotFoundError):
+                total += file.stat().st_size
     return total

@@ -27,7 +27,7 @@ from service.perception.markers.fingerprint import gel_name
 from service.perception.rectification import Calibration
 from service.recordings.listing import Summary
 from service.recordings.retention import make_room, problem_of
-from service.recordings.writer import Recorder
+from service.recordings.writer import CONFIGURATION, Recorder
 from service.session.decider import Decider
 from service.session.factory import make_session
 from service.session.insertion import Insertion, Send
@@ -127,7 +127,7 @@ class InsertionManager:
             try:
                 active = self._open(hello)
             except Exception as error:  # else the client would wait for a hello that never comes
-                detail = f"no insertion can be opened: {error or type(error).__name__}"
+                detail = f"no insertion can be opened: {str(error) or type(error).__name__}"
                 self.hub.publish("error", detail)
                 send(wire.Fault(insertion_id=hello.insertion_id, code="not_ready", detail=detail, fatal=True))
                 return
@@ -226,7 +226,7 @@ class InsertionManager:
     def _attachments(self, session: InsertionSession) -> dict[str, bytes]:
         """The setup behind the decisions: settings, calibration, cards. Tokens are omitted."""
         secrets = {"token_watch", "token_drive", "token_admin"}
-        attached = {"configuration.json": self.settings.model_dump_json(exclude=secrets, indent=1).encode()}
+        attached = {CONFIGURATION: self.settings.model_dump_json(exclude=secrets, indent=1).encode()}
         if self._calibration_text:
             attached["calibration.toml"] = self._calibration_text.encode()
         cards = {f"{entry.card.name}.card.json": entry.card for entry in session.models.entries}
@@ -243,8 +243,7 @@ class InsertionManager:
         if insertion is None:
             return
         self._ended[finished.insertion_id] = finished
-        session = insertion.session
-        self._decided, self.held_over = session.decider, session.open_gels.after(finished, session.attempt)
+        self._decided, self.held_over = insertion.session.decider, insertion.held_over
         self._tried_n = insertion.tried_n + descended_n(finished.cause, finished.attempts, finished.doubts)
         while len(self._ended) > REMEMBERED_N:
             self._ended.popitem(last=False)
@@ -276,7 +275,7 @@ class InsertionManager:
             tried_n = insertion.tried_n
             self.versions.learn(insertion.beside, finished, fresh=insertion.continues is None, tried_n=tried_n)
         except Exception as error:  # the insertion itself has ended well
-            self.hub.publish("error", f"versions: {error or type(error).__name__}")
+            self.hub.publish("error", f"versions: {str(error) or type(error).__name__}")
 
     def _chart(self, summary: dict[str, Any], models: ModelSet) -> None:
         """Update the drift charts, which may raise an alarm; another gel or other networks restart them."""

@@ -25,6 +25,7 @@ from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from service.observability.hub import Hub
 from service.perception.rectification import Calibration
+from service.recordings.listing import held_over
 from service.recordings.recovery import recover
 from service.session.factory import make_session
 from service.session.insertion import Insertion, Send
@@ -252,6 +253,8 @@ class Station:
         """
         try:
             self._swap(load_models(self.settings.models))
+        except OSError as error:
+            raise ContractError(f"the old models stay: {error}") from None
         finally:
             give_back()  # one or two sets of networks: about 30 MB that the allocator would keep
 
@@ -288,9 +291,10 @@ def open_station(settings: Settings) -> Station:
             f" the models expect {models.card.frame.shape[1::-1]}; calibrate for that size"
         )
     Path(settings.recordings).mkdir(parents=True, exist_ok=True)
-    interrupted = recover(settings.recordings)
+    recover(settings.recordings)
     station = Station(settings, models, calibration)
-    station.manager.held_over = UNSEEN if interrupted else ""  # that service may have ended in the middle of a press
+    left = held_over(settings.recordings)
+    station.manager.held_over = UNSEEN if left is None else left
     if settings.shadow:
         station.versions.give(settings.shadow, at_start=True)
     return station

@@ -7,6 +7,7 @@ import threading
 import time
 from dataclasses import replace
 from datetime import UTC, datetime
+from http.client import HTTPException
 from itertools import islice
 from math import ceil
 from pathlib import Path
@@ -55,14 +56,14 @@ class Fit(NamedTuple):
 
 def still_image(url: str, frames: int) -> NDArray[np.uint8]:
     """Median uint8 [h, w, 3] of a camera's next frames; raises CameraError if they do not come within ten seconds."""
-    stop = threading.Event()
+    source, stop = open_source(url), threading.Event()
     timer = threading.Timer(WAIT_S, stop.set)
     timer.start()
     began = time.monotonic()
     try:
-        images = [capture.image() for capture in islice(open_source(url).frames(stop), max(frames, 1))]
-    except OSError as error:
-        raise CameraError(f"camera {url}: {error}") from error
+        images = [capture.image() for capture in islice(source.frames(stop), max(frames, 1))]
+    except (OSError, HTTPException, ValueError) as error:
+        raise CameraError(f"camera {url}: {str(error) or type(error).__name__}") from error
     finally:
         timer.cancel()
     if not images:

@@ -9,9 +9,12 @@ import json
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
+
+from pydantic import BaseModel, ValidationError
 
 from service.contract import FINGERS, FramePair, TactileFrame, wire
+from service.contract.frames import first_error
 from service.contract.shipped import released_models
 from service.contract.wire import Limits
 from service.decision.attempt import WorkResult
@@ -22,8 +25,26 @@ from service.recordings.reader import Recording, RecordingError
 from service.recordings.writer import FINAL, NAME
 from service.session.factory import make_session
 from service.session.state_machine import InsertionSession
+from service.settings import Deadlines
 
 _TIMES = {"latency_ms", "age_ms", "recording"}
+_USUAL = Deadlines()
+
+
+class _Given(BaseModel):
+    """The service's settings that a session depends on, the usual ones where none are recorded."""
+
+    imprint_slip: bool = True
+    reference_timeout_s: float = _USUAL.reference_s
+    frames_timeout_s: float = _USUAL.decision_frames_s
+    decision_timeout_s: float = _USUAL.decision_s
+
+    @classmethod
+    def of(cls, recording: Recording) -> Self:
+        try:
+            return cls.model_validate_json(recording.settings)
+        except ValidationError as error:
+            raise RecordingError(f"{recording.path}: {first_error(error, 'settings')}") from None
 
 
 @dataclass(slots=True)
@@ -109,7 +130,9 @@ def open_replay(recording: Recording, models: ModelSet) -> Replay:
         calibration = Calibration.parse(recording.metadata["calibration"].encode(), recording.path)
     limits = Limits.model_validate_json(recording.metadata["limits"])
     controller: Any = recording.metadata["controller"]
-    session = make_session(models, calibration, controller, limits)
+    given = _Given.of(recording)
+    session = make_session(models, calibration, controller, limits, imprint=given.imprint_slip)
+    session.deadlines = Deadlines(given.reference_timeout_s, given.frames_timeout_s, given.decision_timeout_s)
     session.open_gels.held_over = recording.metadata.get("held_over", "")
     return Replay(recording, session, {finger: recording.frames(finger) for finger in FINGERS})
 

@@ -17,6 +17,7 @@ from service.contract.wire import MAX_ATTEMPTS
 from service.decision.evidence import Evidence
 
 ENOUGH = 20.0  # the capital at which a claim counts as refuted
+MOST = 1e9  # of a capital; a bet won for thousands of insertions would overflow
 STAKES = (0.1, 0.3, 0.6, 0.9)
 LEAST_COVERAGE = 0.75  # of 90 % intervals, with errors known to within the gap's clearance
 TOLERATED = 1.1  # ratio to the attempts with the version before
@@ -44,7 +45,7 @@ class Bet(Contract):
         """After a gain of -1 or more."""
         fresh = 1.0 / ((self.taken_n + 1) * (self.taken_n + 2))
         pairs = zip(self.capital, STAKES, strict=True)
-        capital = tuple((have + fresh) * (1.0 + share * gain) for have, share in pairs)
+        capital = tuple(min(MOST, (have + fresh) * (1.0 + share * gain)) for have, share in pairs)
         return Bet(taken_n=self.taken_n + 1, capital=capital)
 
     def that(self, happened: bool | None, rate: float) -> "Bet":

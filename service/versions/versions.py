@@ -5,16 +5,19 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import structlog
+
 from service.contract.frames import Contract, ContractError
 from service.contract.wire import Cause, ControllerName, Finished, Limits
 from service.decision.models import ModelSet, load_models
 from service.versions.beside import Beside
 from service.versions.contest import ENOUGH, FAILED, Contest, Role
-from service.versions.store import Store, Wiring, version_of
+from service.versions.store import WIRING, Store, Wiring, version_of
 
 BLAMED: frozenset[Cause] = frozenset({"attempts", "no_decision", "not_confirmed"})
 """Causes of an end that decisions may be responsible for."""
 Publish = Callable[[str, Any], None]
+log = structlog.get_logger()
 
 
 class Version(Contract):
@@ -87,7 +90,11 @@ class Versions:
     def _load(self, wiring: Wiring) -> None:
         networks = dict(self._now.networks)
         if wiring.active not in networks:
-            networks[wiring.active] = self._store.load(wiring.active)
+            try:
+                networks[wiring.active] = self._store.load(wiring.active)
+            except (ContractError, OSError) as error:
+                remedy = f"remove {self._store.home / WIRING} to begin anew with the released networks"
+                raise ContractError(f"the version that decides is lost: {error}; {remedy}") from None
         for role, version in wiring.beside.items():
             try:
                 networks[version] = networks.get(version) or self._store.load(version)
@@ -114,7 +121,8 @@ class Versions:
         wiring, networks = now = self._now
         if not wiring.beside or deciding is not now.active:
             return None
-        return Beside(wiring.active, networks, limits, controller)
+        used = {version: networks[version] for version in (wiring.active, *wiring.beside.values())}
+        return Beside(wiring.active, used, limits, controller)
 
     def state(self) -> State:
         """The active version and those beside it with their evidence."""
@@ -129,26 +137,34 @@ class Versions:
     def give(self, folder: Path, *, at_start: bool = False) -> None:
         """Let a folder's networks run in shadow, replacing the present shadow.
 
-        Raises ContractError if they cannot serve, cannot be compared, already decide, or were rejected. A setting
-        repeats the same request ``at_start`` each time: a version that has a role keeps it, a rejected one is a
-        `problem`.
+        Raises ContractError if they cannot serve, cannot be compared, already decide, or were rejected, OSError as
+        usual. A setting repeats the same request ``at_start`` each time: a version that has a role keeps it, and what
+        is refused is a `problem`, because the cell works without a shadow.
         """
+        try:
+            self._give(folder, again=at_start)
+        except (ContractError, OSError) as error:
+            if not at_start:
+                raise
+            log.warning("no shadow", folder=str(folder), why=str(error))
+            if "shadow" not in self._now.wiring.beside:
+                self.problem = str(error)
+
+    def _give(self, folder: Path, *, again: bool) -> None:
         models = load_models(folder)
         with self._lock:
             version, wiring = version_of(models), self._now.wiring
             if version in {wiring.active, *wiring.beside.values()}:
-                if not at_start and version != wiring.beside.get("shadow"):
+                if not again and version != wiring.beside.get("shadow"):
                     raise ContractError(f"{folder} holds version {version}, which decides now, or did before")
                 return
             if why := wiring.rejected.get(version):
-                self.problem = f"{folder} holds version {version}, which was rejected: {why}"
-                if at_start:
-                    return
-                raise ContractError(self.problem)
+                raise ContractError(f"{folder} holds version {version}, which was rejected: {why}")
             if differs := self._now.active.card.incomparable(models.card):
                 raise ContractError(f"{folder} cannot run in shadow: {differs[0]}")
             kept = {**self._now.networks, self._store.keep(models): self._store.load(version)}
             self._change("shadow", version, f"given as {folder}", wiring.with_one("shadow", version, Contest()), kept)
+            self.problem = ""
 
     def drop(self) -> None:
         """Remove the shadow; raises ContractError if there is none."""

@@ -6,6 +6,7 @@ little-endian row-major tensors in the order of the JSON.
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -63,9 +64,7 @@ def metadata(model: LoadedModel) -> dict[str, Any]:
 
 def parse_request(body: bytes | bytearray, header_length: str | None, model: LoadedModel) -> InferRequest:
     """Parse an infer request; raise TensorError naming the fault. Binary tensors are views of the body."""
-    if header_length is not None and not (header_length.isdigit() and int(header_length) <= len(body)):
-        raise TensorError(f"Inference-Header-Content-Length {header_length!r}, expected a length within the body")
-    split = len(body) if header_length is None else int(header_length)
+    split = len(body) if header_length is None else _length(header_length, len(body))
     if split > MAX_JSON_BYTES:
         raise TensorError(f"JSON of {split} bytes, expected at most {MAX_JSON_BYTES}; send tensors in binary")
     try:
@@ -78,6 +77,13 @@ def parse_request(body: bytes | bytearray, header_length: str | None, model: Loa
     known = metadata(model)
     inputs = _inputs(request["inputs"], memoryview(body)[split:], {entry["name"]: entry for entry in known["inputs"]})
     return InferRequest(_id(request), inputs, _wanted(request, [entry["name"] for entry in known["outputs"]]))
+
+
+def _length(text: str, most: int) -> int:
+    """The length that a header states."""
+    if not (re.fullmatch("[0-9]{1,19}", text) and int(text) <= most):
+        raise TensorError(f"Inference-Header-Content-Length {text[:20]!r}, expected a length within the body")
+    return int(text)
 
 
 def _id(request: Mapping[str, Any]) -> str | None:

@@ -56,6 +56,24 @@ def test_the_command_line_wins_over_environment_over_file(tmp_path: Path, monkey
         assert (settings.port, settings.max_dx_mm, settings.controller) == (3, 6.0, "heuristic")
 
 
+@pytest.mark.parametrize("given", ["cell-pc,[2001:db8::1]", '["cell-pc", "[2001:db8::1]"]', "cell-pc, [2001:db8::1],"])
+def test_several_names_are_set_by_a_variable_as_on_the_command_line(
+    given: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TACTILE_ALLOWED_HOSTS", given)
+    settings = read_settings(CAMERAS)
+    assert settings.allowed_hosts == ("cell-pc", "[2001:db8::1]")
+    monkeypatch.delenv("TACTILE_ALLOWED_HOSTS")
+    assert read_settings([*CAMERAS, "--allowed-hosts", "cell-pc,[2001:db8::1]"]).hosts == settings.hosts
+
+
+def test_a_variable_that_is_left_empty_names_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("SHADOW", "CALIBRATION"):
+        monkeypatch.setenv(f"TACTILE_{name}", "")
+    settings = read_settings(CAMERAS)
+    assert (settings.shadow, settings.calibration) == (None, None)
+
+
 def test_secrets_do_not_show() -> None:
     assert SECRET not in repr(read_settings([*CAMERAS, "--token-drive", SECRET]))
 

@@ -37,10 +37,11 @@ def test_what_a_command_prints_fits_80_columns(capsys):
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
-def test_a_reader_may_leave_before_the_end(unbuffered):
+@pytest.mark.parametrize(("words", "code"), [(["models"], 1), (["--help"], 0), (["versions", "--help"], 0)])
+def test_a_reader_may_leave_before_the_end(unbuffered, words, code):
     reader, writer = os.pipe()
     os.close(reader)
-    command = [sys.executable, "-m", "tactile_insertion", "models"]
+    command = [sys.executable, "-m", "tactile_insertion", *words]
     done = subprocess.run(
         command,
         stdout=writer,
@@ -49,7 +50,7 @@ def test_a_reader_may_leave_before_the_end(unbuffered):
         check=False,
     )
     os.close(writer)
-    assert (done.returncode, done.stderr) == (1, b"")
+    assert (done.returncode, done.stderr) == (code, b"")
 
 
 def test_it_reaches_every_command_of_every_room():

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.reader import McapReader, make_reader
+from mcap.reader import McapReader
 
 from service.contract import FINGERS, Finger
 from service.contract.wire import parse_service
 from service.perception.rectification import Calibration, Rectifier
-from service.recordings.reader import RecordingError, pixels_of
+from service.recordings.reader import RecordingError, opened, pixels_of
 from service.recordings.schemas import Markers
 from service.recordings.writer import IMAGE
 from service.web.page.broadcast import kinds, shown
@@ -86,8 +85,8 @@ class Curves:
 def timeline(path: Path) -> dict[str, Any]:
     """The curves of a recording; raises RecordingError if it cannot be read."""
     curves = Curves()
-    with path.open("rb") as stream:
-        for topic, at_ns, data in _messages(make_reader(stream), TOPICS):
+    with opened(path) as reader:
+        for topic, at_ns, data in _messages(reader, TOPICS):
             match topic:
                 case "/robot":
                     curves.robot(at_ns, json.loads(data)["depth_mm"])
@@ -102,8 +101,7 @@ def timeline(path: Path) -> dict[str, Any]:
 def moment(path: Path, finger: Finger, at_ns: int) -> dict[str, Any]:
     """A finger's observation at a stamp of the timeline, as the page draws it; RecordingError if there is none."""
     pixels, markers = None, None
-    with path.open("rb") as stream:
-        reader = make_reader(stream)
+    with opened(path) as reader:
         calibration = next((m.metadata["calibration"] for m in reader.iter_metadata() if m.name == "insertion"), "")
         topics = [f"/{finger}/markers", *(f"/{finger}/{name}" for name in IMAGE.values())]
         for topic, _, data in _messages(reader, topics, at_ns):
@@ -131,11 +129,8 @@ def moment(path: Path, finger: Finger, at_ns: int) -> dict[str, Any]:
 def _messages(reader: McapReader, topics: list[str], at_ns: int | None = None) -> Iterator[tuple[str, int, bytes]]:
     """(topic, log time, bytes) in order of time, of all times or of one."""
     end_ns = None if at_ns is None else at_ns + 1
-    try:
-        for _, channel, message in reader.iter_messages(topics, at_ns, end_ns):
-            yield channel.topic, message.log_time, message.data
-    except (McapError, EOFError, OSError) as error:
-        raise RecordingError(f"the recording cannot be read: {error or type(error).__name__}") from error
+    for _, channel, message in reader.iter_messages(topics, at_ns, end_ns):
+        yield channel.topic, message.log_time, message.data
 
 
 def _pitch(markers: Any) -> float:

@@ -154,7 +154,9 @@ async def _take_in(socket: WebSocket, station: Station, finger: Finger) -> None:
             if frame.finger != finger:
                 raise ContractError(f"a frame of the {frame.finger} finger, expected {finger}")
             source.push(frame)
-    except (ContractError, KeyError) as error:
-        await socket.close(UNSUPPORTED, str(error)[:120] or "expected binary frames")
+    except KeyError:
+        await socket.close(UNSUPPORTED, "a text message, expected binary frames")
+    except ContractError as error:
+        await socket.close(UNSUPPORTED, str(error)[:120])
     finally:
         source.release()

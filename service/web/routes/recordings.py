@@ -75,7 +75,11 @@ def router(station: Station, access: Access) -> APIRouter:
 
     @routes.delete("/{name}", dependencies=admin)
     async def remove(name: str) -> dict[str, str]:
-        await asyncio.to_thread(shutil.rmtree, recording_folder(root, name))
+        folder = recording_folder(root, name)
+        try:
+            await asyncio.to_thread(shutil.rmtree, folder)
+        except OSError as error:  # read only, or two remove it at once
+            raise HTTPException(409, f"recording {name} cannot be removed: {error.strerror}") from None
         return {"removed": name}
 
     return routes

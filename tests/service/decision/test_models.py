@@ -73,6 +73,21 @@ def test_a_graph_that_is_not_what_its_card_says_is_refused(tmp_path: Path) -> No
         load_models(folder)
 
 
+@pytest.mark.parametrize("fault", ["type", "batch"])
+def test_a_graph_that_does_not_run_on_what_its_card_says_is_refused(tmp_path: Path, fault: str) -> None:
+    folder = tiny_models.write_models(tmp_path)
+    path = folder / "direction.step.onnx"
+    model = onnx.load(str(path))
+    for entry in model.graph.input:
+        if fault == "type":
+            entry.type.tensor_type.elem_type = onnx.TensorProto.FLOAT
+        else:
+            entry.type.tensor_type.shape.dim[0].dim_value = 2
+    onnx.save(model, str(path))
+    with pytest.raises(ContractError, match=f"{path} does not run as its card says"):
+        load_models(folder)
+
+
 def test_a_decision_run_needs_all_its_frames_and_their_shape(tmp_path: Path) -> None:
     models = load_models(tiny_models.write_models(tmp_path))
     frame = np.full((2, 320, 327, 3), 90, np.uint8)

@@ -15,6 +15,7 @@ from websockets.sync.client import connect
 
 from service.contract import FINGERS, TactileFrame, encode_frame, wire
 from service.recordings.reader import Recording
+from service.recordings.writer import FINAL
 from service.session.station import Station
 from service.settings import Settings
 from tests.service.client import Driver
@@ -56,6 +57,17 @@ def test_one_bad_recording_is_named_and_the_others_are_listed(own: LiveService) 
         assert names == ["good"], content
         assert [problem.startswith(f"{bad.name}: summary.json: ") for problem in problems] == [True], content
     assert httpx.get(own.url(f"/v1/recordings/{good.name}")).status_code == 200
+
+
+def test_a_recording_that_a_power_cut_has_damaged_is_refused_with_the_reason(own: LiveService) -> None:
+    path = inserted(own, "damaged") / FINAL
+    whole, base = path.read_bytes(), own.url(f"/v1/recordings/{path.parent.name}")
+    for content in (b"", whole[:40], whole[: len(whole) // 2], whole[:-300] + b"\xff" * 64 + whole[-236:]):
+        path.write_bytes(content)
+        for method, what in (("GET", "timeline"), ("GET", "moments/left/1"), ("POST", "decide")):
+            answer = httpx.request(method, f"{base}/{what}")
+            assert answer.status_code == 400, what
+            assert len(answer.json()["error"]) > len("the recording cannot be read: ")
 
 
 def test_a_recording_that_was_broken_off_is_named(own: LiveService) -> None:

@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from service import __main__ as entry
 from service.cameras.capture import CameraFrame
 from service.contract import FrameSpec, TactileFrame, wire
 from service.perception.finger import TactileFinger
+from service.recordings.listing import list_recordings
 from service.recordings.reader import Recording, RecordingError
 from service.recordings.recovery import recover
 from service.recordings.retention import make_room, prune
@@ -116,10 +118,13 @@ def test_a_recording_that_is_being_written_is_left_alone(tmp_path: Path) -> None
 
 
 def test_a_part_that_holds_nothing_is_put_aside_and_not_tried_again(tmp_path: Path) -> None:
-    (tmp_path / "x").mkdir()
-    (tmp_path / "x" / "insertion.mcap.part").write_bytes(os.urandom(1000))
+    folder = tmp_path / "20260101T000000_x"
+    folder.mkdir()
+    (folder / "insertion.mcap.part").write_bytes(os.urandom(1000))
+    assert "the next start of the service recovers" in list_recordings(tmp_path)[1][0]
     assert recover(tmp_path) == []
-    assert [path.name for path in (tmp_path / "x").iterdir()] == ["insertion.mcap.unreadable"]
+    assert [path.name for path in folder.iterdir()] == ["insertion.mcap.unreadable"]
+    assert "before there was anything to read; remove it" in list_recordings(tmp_path)[1][0]
 
 
 def test_the_disk_use_of_recordings_is_bounded_while_one_is_written(tmp_path: Path) -> None:
@@ -178,3 +183,28 @@ def test_a_recording_that_cannot_be_recovered_stays_as_it_is_and_stops_nothing(
         "a/insertion.mcap.part",
         "b/insertion.mcap.part",
     ]
+
+
+def test_a_part_that_cannot_even_be_opened_stops_nothing(tmp_path: Path) -> None:
+    (tmp_path / "x" / "insertion.mcap.part").mkdir(parents=True)
+    assert recover(tmp_path) == []
+
+
+def test_an_insertion_that_is_removed_meanwhile_makes_no_trouble_for_the_next_one(tmp_path: Path) -> None:
+    for number in range(100):  # measured first, so that the last one has time to go
+        (tmp_path / f"20250101T000000_{number}").mkdir()
+    folder, ended = tmp_path / "20260101T000000_a", threading.Event()
+
+    def come_and_go() -> None:
+        while not ended.is_set():
+            folder.mkdir()
+            folder.rmdir()
+
+    thread = threading.Thread(target=come_and_go)
+    thread.start()
+    try:
+        for _ in range(50):
+            make_room(tmp_path, 1 << 30)
+    finally:
+        ended.set()
+        thread.join()

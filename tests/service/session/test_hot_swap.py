@@ -41,7 +41,7 @@ def test_new_models_decide_the_next_insertion(swappable: LiveService) -> None:
     driver.close()
 
 
-@pytest.mark.parametrize("fault", ["garbage", "no card", "missing", "disagreement", "other size"])
+@pytest.mark.parametrize("fault", ["garbage", "no card", "missing", "dangling", "disagreement", "other size"])
 def test_whatever_is_wrong_with_the_new_ones_the_old_ones_stay(swappable: LiveService, fault: str) -> None:
     folder = swappable.station.settings.models
     path = folder / "magnitude.step.onnx"
@@ -56,12 +56,16 @@ def test_whatever_is_wrong_with_the_new_ones_the_old_ones_stay(swappable: LiveSe
             onnx.save(model, str(path))
         case "missing":
             path.unlink()
+        case "dangling":
+            path.unlink()
+            path.symlink_to("nowhere")
         case "disagreement":
             onnx.save(tiny_models.step_model("magnitude", frames_per_decision=6), str(path))
         case _:
             smaller = tiny_models.SPEC.model_copy(update={"width_px": 300})
             tiny_models.write_models(folder, frame=smaller)
     refused = httpx.post(swappable.url(LOAD), headers=swappable.bearer)
+    path.unlink(missing_ok=True)
     shutil.copytree(spare, folder, dirs_exist_ok=True)
     assert refused.status_code == 400
     assert refused.json()["error"]

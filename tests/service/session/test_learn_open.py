@@ -1,13 +1,19 @@
 """Open gels are learnt between attempts, from the first frames that show them."""
 
+import json
+from pathlib import Path
 from typing import Any
 
 import pytest
+from websockets.sync.client import connect
 
 from service.contract import wire
 from service.session.state_machine import InsertionSession
+from tests.service.client import Driver
+from tests.service.conftest import live_service
 from tests.service.decision.test_claim import PERIOD_NS
 from tests.service.session.at_rest import ID, S, arm, at_rest, is_out_of_order, shows, stops
+from tests.service.session.test_manager import wait_for_recorders
 
 
 @pytest.fixture
@@ -68,3 +74,31 @@ def test_what_turned_out_not_to_be_an_open_gel_is_forgotten_without_an_answer(se
     assert (session.left.learnt, session.right.learnt) == ([], [])
     assert not session.wants_frames
     assert session.on_tick(100 * S) == []
+
+
+@pytest.mark.parametrize("summary", ["whole", "recovered", "broken"])
+def test_a_service_that_starts_anew_knows_that_the_hand_was_not_opened(
+    tmp_path: Path, models_folder: Path, summary: str
+) -> None:
+    with live_service(tmp_path, models_folder) as live:
+        driver = Driver(live, "pressed")
+        driver.until("hello")
+        driver.attempt(1)
+        driver.close()
+    wait_for_recorders()
+    (path,) = live.recordings.glob("*_pressed/summary.json")
+    facts = json.loads(path.read_text())
+    assert (facts["outcome"], facts["cause"]) == ("failed", "service")
+    if summary == "recovered":
+        path.write_text(json.dumps({"insertion_id": "pressed", "outcome": "interrupted", "attempts": 1}))
+    elif summary == "broken":
+        path.write_text("")
+    with live_service(tmp_path, models_folder) as live:
+        url = live.url("/v1/insertion", "ws")
+        with connect(url, additional_headers=live.bearer, compression=None) as link:
+            link.send(wire.ClientHello(insertion_id="again", client="test").model_dump_json())
+            arm = wire.Arm(insertion_id="again", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+            link.send(arm.model_dump_json())
+            answers = [wire.parse_service(link.recv(60)) for _ in range(2)]
+    assert [answer.type for answer in answers] == ["hello", "refused"]
+    assert answers[1].reason == "turned_in_hand"

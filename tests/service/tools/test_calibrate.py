@@ -1,6 +1,8 @@
 """Calibration finds a simulated camera's rectification, and refuses anything but a resting gel."""
 
 import json
+import socket
+import threading
 from dataclasses import replace
 
 import cv2
@@ -183,3 +185,19 @@ def test_a_finger_learns_the_gel_that_it_was_calibrated_with_and_no_other(seed: 
         for shown in FINGERS:
             why = watch.learn_open(TactileFrame(finger, 1, 1, cameras[shown].raw(REST, 7)))
             assert ("swapped" in why) == (shown != finger), why
+
+
+@pytest.mark.parametrize("answer", [b"SSH-2.0-OpenSSH_9\r\n", b"HTTP/1.1 404 Not Found\r\n\r\n", b""])
+def test_what_is_no_camera_is_one_line_that_names_it_and_exit_2(answer: bytes, capsys: pytest.CaptureFixture[str]):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            link, _ = server.accept()
+            with link:
+                link.recv(4096)
+                link.sendall(answer)
+
+        threading.Thread(target=serve).start()
+        url = f"http://127.0.0.1:{server.getsockname()[1]}/stream"
+        assert main(["calibrate", "--camera-left", url, "--camera-right", "v4l2:99"]) == 2
+    assert f"camera {url}: " in capsys.readouterr().err

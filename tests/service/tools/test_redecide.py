@@ -3,17 +3,23 @@
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import onnx
 import pytest
+from websockets.sync.client import connect
 
 from service.__main__ import main
 from service.contract import wire
 from service.decision import models as models_module
+from service.recordings.reader import Recording
 from service.recordings.writer import Recorder
+from service.session.factory import make_session
+from service.settings import Settings
+from service.tools.redecide import open_replay
 from tests.service import tiny_models
 from tests.service.client import Driver
-from tests.service.conftest import LiveService
+from tests.service.conftest import LiveService, bearer, served
 
 
 @pytest.fixture
@@ -102,3 +108,38 @@ def test_a_recordings_text_reaches_the_terminal_as_text(
     printed = capsys.readouterr().err
     assert "\\x1b[2J" in printed
     assert printed.replace("\n", "").isprintable()
+
+
+@pytest.mark.parametrize("set_for_the_service", [{"reference_timeout_s": 0.2}, {"imprint_slip": False}])
+def test_an_insertion_is_decided_again_with_the_settings_that_it_was_decided_with(
+    tmp_path: Path, models_folder: Path, set_for_the_service: dict[str, Any]
+) -> None:
+    options = {"models": models_folder, "recordings": tmp_path / "r", "state": tmp_path / "state"}
+    cameras = {"camera_left": "push:", "camera_right": "push:"}
+    with served(Settings(**options, **cameras, **set_for_the_service)) as (station, port):
+        head, url = bearer(station), f"ws://127.0.0.1:{port}/v1/insertion"
+        with connect(url, additional_headers=head, compression=None) as link:
+            link.send(wire.ClientHello(insertion_id="set", client="test").model_dump_json())
+            link.send(
+                wire.Arm(insertion_id="set", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0).model_dump_json()
+            )
+            assert [wire.parse_service(link.recv(20)).type for _ in range(2)] == ["hello", "refused"]
+            link.send(wire.Abort(insertion_id="set", cause="refused", reason="no frames").model_dump_json())
+            path = wire.parse_service(link.recv(20)).recording
+        live = make_session(station.models, imprint=station.settings.imprint_slip)
+    assert main(["replay", path, "--models", str(models_folder)]) == 0
+    again = open_replay(Recording(Path(path)), models_module.load_models(models_folder)).session
+    assert (again.left._imprint is None) == (live.left._imprint is None)
+
+
+def test_settings_that_are_none_are_refused_in_one_line(
+    tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for content in (b"[]", b"{", b'{"frames_timeout_s": "soon"}'):
+        facts = {"models": " ".join(f"tiny:{h}" for h in hashes_of(models_folder)), "calibration": ""}
+        limits = '{"max_dx_mm": 15.0, "max_dtheta_deg": 15.0, "max_frame_age_ms": 150.0}'
+        attached = {"configuration.json": content}
+        facts |= {"controller": "belief", "limits": limits, "models_folder": "."}
+        path = Recorder(tmp_path, "odd", facts, attachments=attached).close({"outcome": "aborted", "attempts": 0})
+        assert main(["replay", str(path), "--models", str(models_folder)]) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1

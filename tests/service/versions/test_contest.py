@@ -57,6 +57,16 @@ def test_a_bet_on_a_fair_coin_stays_worth_one_on_the_mean_and_never_needs_more_t
     assert len(Bet().capital) == len(STAKES)
 
 
+def test_a_bet_that_is_won_for_months_goes_on() -> None:
+    bet = Bet()
+    for _ in range(5000):
+        bet = bet.that(happened=True, rate=0.75)
+    assert math.isfinite(bet.worth)
+    for _ in range(200):
+        bet = bet.that(happened=False, rate=0.75)
+    assert bet.worth < ENOUGH, "what was won long ago proves nothing against what is lost now"
+
+
 @pytest.mark.parametrize(("runs_n", "most_n"), [(120, 250), pytest.param(300, 800, marks=pytest.mark.slow)])
 def test_a_version_that_is_no_better_is_promoted_in_at_most_one_of_twenty_cells(runs_n: int, most_n: int) -> None:
     assert share_within("shadow", runs_n, most_n, seed=1) <= 1 / ENOUGH

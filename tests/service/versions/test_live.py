@@ -11,6 +11,7 @@ import pytest
 
 from service.__main__ import main
 from service.contract import wire
+from service.contract.token import keep_token
 from service.decision.models import load_models
 from service.recordings.reader import Recording
 from service.versions.contest import Bet, Contest
@@ -82,7 +83,9 @@ def surely(cell: LiveService, role: str) -> None:
     versions._now = versions._now._replace(wiring=wiring.with_one(role, wiring.beside[role], contest))
 
 
-def test_both_answer_to_the_same_attempt_and_the_record_holds_both(tmp_path: Path) -> None:
+def test_both_answer_to_the_same_attempt_and_the_record_holds_both(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     models = tiny_models.write_models(tmp_path / "models")
     with live_service(tmp_path, models) as cell:
         folders = [write_shadow(tmp_path / name) for name in ("same", "other")]
@@ -104,9 +107,15 @@ def test_both_answer_to_the_same_attempt_and_the_record_holds_both(tmp_path: Pat
         assert summary["decisions"][0]["beside"] == answers
         until(lambda: ask(cell, "GET").json()["shadow"]["scored_n"] == 1)
         assert ask(cell, "GET").json()["previous"]["scored_n"] == 1
+        assert insert(cell, "twice")[0] == decided
+        until(lambda: ask(cell, "GET").json()["shadow"]["ended_n"] == 2)
+        assert ask(cell, "GET").json()["shadow"]["scored_n"] == 1, "an insertion without a blocked attempt scores none"
+        capsys.readouterr()
+        assert main(["versions", "--url", cell.url("")]) == 0
+        assert "of 20, after 2 insertions" in " ".join(capsys.readouterr().out.split())
         regrasped(cell)
-        until(lambda: cell.station.versions._now.wiring.contest("shadow").ended_n == 2)
-        assert cell.station.versions._now.wiring.contest("shadow").attempts_n == 2 + 2, "of both grasps"
+        until(lambda: cell.station.versions._now.wiring.contest("shadow").ended_n == 3)
+        assert cell.station.versions._now.wiring.contest("shadow").attempts_n == 2 + 1 + 2, "of both grasps"
         where = cell.station.versions.active.steps[0].path.parent
         assert main(["replay", str(path), "--models", str(where)]) == 0  # bit for bit: nothing beside it moved the arm
 
@@ -168,6 +177,27 @@ def test_a_person_changes_versions_between_insertions_and_never_in_one(
     for words in (["promote"], ["rollback"], ["drop"], ["shadow", str(tmp_path / "none")]):
         assert main(["versions", *words, *there]) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_a_token_for_watching_shows_the_versions_where_watching_needs_one(
+    tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with live_service(tmp_path, models_folder, token_watch="a-token-for-watching") as guarded:
+        (tmp_path / "token").write_text("a-token-for-watching\n")
+        assert main(["versions", "--url", guarded.url("")]) == 2
+        assert "a bearer token is needed" in capsys.readouterr().err
+        assert main(["versions", "--url", guarded.url(""), "--token-file", str(tmp_path / "token")]) == 0
+        assert guarded.station.versions.state().active.version in capsys.readouterr().out
+
+
+def test_the_token_of_this_machine_is_not_sent_to_another_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keep_token(tmp_path)
+    monkeypatch.setenv("TACTILE_STATE", str(tmp_path))
+    monkeypatch.setattr(httpx, "request", lambda *_, **__: pytest.fail("something was sent"))
+    assert main(["versions", "promote", "--url", "http://192.0.2.1:8000"]) == 2
+    assert "this machine's token is not sent elsewhere" in capsys.readouterr().err
 
 
 def test_only_an_administrator_changes_versions(cell: LiveService, tmp_path: Path) -> None:

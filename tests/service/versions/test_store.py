@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import pytest
 
 from service.contract import ContractError
 from service.decision.models import load_models
+from service.session.state_machine import DEFAULT_LIMITS
 from service.versions.store import WIRING, Store, version_of
 from service.versions.versions import Versions
 from tests.service import tiny_models
@@ -85,7 +87,10 @@ def test_an_edited_wiring_and_an_exchanged_version_are_refused(tmp_path: Path, t
     (home / WIRING).write_text(text)
     for path in (home / active).iterdir():
         path.write_bytes((three[2] / path.name).read_bytes())
-    with pytest.raises(ContractError, match="does not hold version"):
+    with pytest.raises(ContractError, match=r"does not hold version .*; remove .*wiring.json to begin anew"):
+        Versions(home, load_models(three[0]), quiet)
+    shutil.rmtree(home / active)
+    with pytest.raises(ContractError, match=r"remove .*wiring.json to begin anew"):
         Versions(home, load_models(three[0]), quiet)
 
 
@@ -108,6 +113,48 @@ def test_another_release_begins_anew(tmp_path: Path, three: list[Path]) -> None:
     with contextlib.closing(Versions(tmp_path / "versions", load_models(three[2]), quiet)) as opened:
         assert opened.state().active.version == version_of(load_models(three[2]))
         assert opened.state().previous is None
+
+
+@pytest.mark.parametrize("what", ["incomparable", "gone", "no room"])
+def test_a_shadow_of_the_settings_that_cannot_run_is_a_problem_and_stops_no_cell(
+    tmp_path: Path, three: list[Path], what: str
+) -> None:
+    older, home = tmp_path / "older", tmp_path / "versions"
+    if what != "gone":
+        tiny_models.write_models(older, frames_per_decision=6 if what == "incomparable" else 8)
+    if what == "no room":
+        home.touch()
+    with contextlib.closing(Versions(home, load_models(three[0]), quiet)) as opened:
+        opened.give(older, at_start=True)
+        assert opened.state().shadow is None
+        expected = {"incomparable": "cannot run in shadow: frames_per_decision", "gone": "no *.onnx model in"}
+        assert expected.get(what, "versions") in opened.state().problem
+        with pytest.raises((ContractError, OSError)):
+            opened.give(older)
+        home.unlink() if what == "no room" else None
+        opened.give(three[1])
+        assert opened.state().problem == "", "a shadow runs"
+        shutil.rmtree(three[1])
+        opened.give(three[1], at_start=True)
+        assert opened.state().problem == "", "its copy does"
+
+
+def test_a_release_that_has_no_part_any_more_answers_nothing(tmp_path: Path, three: list[Path]) -> None:
+    with contextlib.closing(promoted(tmp_path / "versions", three)) as opened:
+        opened.give(three[2])
+        opened.promote()
+        beside = opened.beside(opened.active, DEFAULT_LIMITS, "belief")
+        assert set(beside.networks) == {version_of(load_models(folder)) for folder in three[1:]}
+
+
+def test_a_shadow_that_is_refused_by_hand_leaves_no_problem_behind(tmp_path: Path, three: list[Path]) -> None:
+    with contextlib.closing(promoted(tmp_path / "versions", three)) as opened:
+        opened.roll_back()
+        opened.give(three[2])
+        with pytest.raises(ContractError, match="which was rejected"):
+            opened.give(three[1])
+        assert opened.state().shadow.version == version_of(load_models(three[2]))
+        assert opened.state().problem == ""
 
 
 def test_two_services_do_not_share_their_versions(tmp_path: Path, three: list[Path]) -> None:

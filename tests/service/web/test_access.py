@@ -177,6 +177,18 @@ def test_a_tls_connection_that_says_nothing_is_closed_and_the_health_check_speak
             assert subprocess.run(check, env=settings, check=False).returncode == code
 
 
+def test_the_address_that_is_printed_is_one_also_over_ipv6(tmp_path: Path, models_folder: Path) -> None:
+    command = [sys.executable, "-m", "service", "run", "--models", str(models_folder), "--host", "::1", "--port", "0"]
+    command += ["--recordings", str(tmp_path / "r"), "--state", str(tmp_path / "state"), "--camera-wait-s", "0"]
+    command += ["--camera-left", "push:", "--camera-right", "push:"]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        try:
+            address = process.stdout.readline().split()[-1]
+            assert httpx.get(f"{address}healthz").status_code == 200
+        finally:
+            process.terminate()
+
+
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.20", "cell-pc.local"])
 def test_every_public_address_needs_a_token(host: str) -> None:
     cameras = ["--camera-left", "push:", "--camera-right", "push:"]

@@ -1,5 +1,6 @@
 import time
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import httpx
@@ -47,6 +48,19 @@ def test_a_recorded_insertion_is_listed_played_and_removed(live: LiveService) ->
     assert httpx.get(base).content[:5] == b"\x89MCAP"
     assert httpx.delete(base, headers=live.bearer).status_code == 200
     assert httpx.get(base).status_code == 404
+
+
+def test_a_recording_that_two_remove_at_once_is_removed_and_nothing_breaks(live: LiveService) -> None:
+    folder = live.recordings / "20260101T000000_twice"
+    folder.mkdir()
+    for number in range(2000):
+        (folder / f"{number}").touch()
+    (folder / "summary.json").write_text("{}")
+    url = live.url(f"/v1/recordings/{folder.name}")
+    with ThreadPoolExecutor(2) as both:
+        answers = list(both.map(lambda _: httpx.delete(url, headers=live.bearer), range(2)))
+    assert {answer.status_code for answer in answers} <= {200, 404, 409}
+    assert all(answer.json() for answer in answers)
 
 
 def sequence(first: int, last: int, period_ns: int = drawn.PERIOD_NS) -> bytes:
@@ -119,8 +133,9 @@ def test_every_answer_in_json_has_a_schema_but_what_is_made_for_the_page(live: L
     assert open_ones == {"/v1/asyncapi.json", "/v1/recordings/{name}/moments/{finger}/{at_ns}", *pages_own}
 
 
-def test_a_foreign_page_is_refused(live: LiveService) -> None:
-    assert httpx.get(live.url("/v1/models"), headers={"Origin": "http://evil.example"}).status_code == 403
+@pytest.mark.parametrize("origin", ["http://evil.example", "http://[", "null", ""])
+def test_a_foreign_page_is_refused(live: LiveService, origin: str) -> None:
+    assert httpx.get(live.url("/v1/models"), headers={"Origin": origin}).status_code == 403
 
 
 def test_tokens_give_roles(tmp_path: Path, models_folder: Path) -> None:

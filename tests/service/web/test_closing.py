@@ -3,6 +3,7 @@
 import contextlib
 import socket
 import time
+from pathlib import Path
 
 import httpx
 import pytest
@@ -12,7 +13,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from service.contract import wire
 from tests.service.client import Driver
-from tests.service.conftest import LiveService
+from tests.service.conftest import LiveService, live_service
 
 
 def goodbye(link: ClientConnection) -> tuple[int, str]:
@@ -60,6 +61,13 @@ def test_every_end_of_a_driving_connection_has_a_reason_and_a_line_in_the_log(li
         assert because.startswith(reason)
     logged = {(line["code"], line["reason"]) for line in lines if line["event"] == "client gone"}
     assert {(code, reason) for code, reason in ends} <= {(code, reason[:123]) for code, reason in logged}
+
+
+def test_a_service_that_stops_says_so_by_the_code(tmp_path: Path, models_folder: Path) -> None:
+    with live_service(tmp_path, models_folder) as stopping:
+        driver = Driver(stopping, "left-alone")
+        driver.until("hello")
+    assert goodbye(driver.socket)[0] == 1012
 
 
 def test_a_client_of_another_protocol_opens_no_insertion(live: LiveService) -> None:

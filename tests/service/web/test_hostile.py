@@ -76,3 +76,12 @@ def test_the_token_lies_where_the_service_said(service: ServiceProcess) -> None:
     assert str(Path(service.recordings.parent / "state" / "token")) in line
     assert service.token not in line
     assert not any(service.token in logged for logged in service.log)
+
+
+@pytest.mark.parametrize("length", [b"\xb2", b"9" * 5000, b"-1", b"3"])
+def test_a_length_of_the_header_that_is_none_is_an_error_that_says_so(service: ServiceProcess, length: bytes) -> None:
+    headers = [(name.encode(), value.encode()) for name, value in service.bearer.items()]
+    headers.append((b"Inference-Header-Content-Length", length))
+    answer = httpx.post(service.url(INFER), content=b"{}", headers=headers)
+    assert answer.status_code == 400
+    assert "expected a length within the body" in answer.json()["error"]

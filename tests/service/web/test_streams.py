@@ -52,7 +52,7 @@ def test_a_wrong_frame_closes_the_pushing_connection_with_the_reason(
     wrong = {
         b"junk": "binary frame of 4 bytes",
         encode_frame(picture("right", 0)): "a frame of the right finger, expected left",
-        "text": "",
+        "text": "expected binary frames",
     }
     for message, reason in wrong.items():
         with connect(f"{base}/v1/cameras/left/push", additional_headers=token, compression=None) as into:
