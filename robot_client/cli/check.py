@@ -80,9 +80,7 @@ async def _plan(settings: Settings) -> list[Finding]:
     check_pose(settings.limits, bottom, "full insertion")
     check_ramps(settings.limits, settings.ramps)
     if settings.cycle:
-        for name, pose in (("cycle.pick", settings.cycle.pick), ("cycle.reject", settings.cycle.reject)):
-            if pose is not None:
-                check_pose(settings.limits, pose, name)
+        settings.cycle.check(settings.limits)
     probing_mm_s, start_mm = settings.ramps.descend.speed_mm_s, plan.approach.z_mm
     legs = plan.pace.legs(start_mm, bottom.z_mm, probing_mm_s, plan.tops) if plan.pause_s else ()
     way = settings.ramps.in_legs(start_mm, legs) if legs else settings.ramps.profile(plan.approach, bottom, "descend")

@@ -58,6 +58,9 @@ class Timeouts(Contract):
 class Plan(Contract):
     """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
 
+    ``over_mm``: height to which an object that is grasped first is lifted out of its fixture before it goes sideways;
+    None: no higher than the approach.
+
     ``continues``: the insertion that this one continues, with the object regrasped. ``fixture``: whether there is one
     for regrasping an object that has turned in the hand. ``gels``: gels with which the cell was commissioned.
     ``signs_known``: whether a commissioning has shown which way each finger sees a turn; only then may the service ask
@@ -79,6 +82,7 @@ class Plan(Contract):
     continues: wire.InsertionId | None = None
     fixture: bool = False
     approach: WorkPose
+    over_mm: float | None = None
     clearance_mm: Positive = 5.0
     gap_width_mm: float = Field(gt=0, le=1000)  # these six have the bounds of the message `arm`
     grasp_height_mm: float | None = Field(default=None, gt=0, le=500)

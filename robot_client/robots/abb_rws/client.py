@@ -13,7 +13,7 @@ from typing import Any
 
 import httpx
 
-from robot_client.ports import Finding
+from robot_client.ports import NOT_CONFIRMED, Finding
 from robot_client.robots.abb_rws.generation import (
     CHALLENGE,
     Generation,
@@ -121,7 +121,7 @@ class RwsClient:
             except RwsError as error:
                 last, asked = str(error), False
             await asyncio.sleep(self.settings.poll_s)
-        return f"STOP NOT CONFIRMED by the controller ({last}): use the stop button"
+        return f"{NOT_CONFIRMED} by the controller ({last}): use the stop button"
 
     async def read_signal(self, name: str) -> bool:
         """Whether a digital signal of the controller is on; raises RwsError."""
