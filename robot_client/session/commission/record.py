@@ -54,7 +54,9 @@ class Record(Contract):
 def commissioned(path: Path) -> Record:
     """The record of a cell that may insert; raises ContractError for an uncommissioned cell, or named mistakes."""
     record = read_record(path)
-    if record is None or len(record.signs) < len(SIDES):
+    if record is None:
+        raise ContractError(f"{path}: there is no such file; run `commission --live`, or name its whole path")
+    if len(record.signs) < len(SIDES):
         raise ContractError(f"{path}: this cell was not commissioned to the end; run `commission --live`")
     if named := record.named or mistakes(record.signs):  # it may have been interrupted before they were written
         raise ContractError(f"{path} names mistakes; mend them and commission again: {'; '.join(named)}")

@@ -137,6 +137,8 @@ def test_the_approach_goes_up_over_and_down():
     state, commands = run([Begin(at_s=0.0, pose=low, held=True), service(hello()), Grasped(at_s=0.0, width_mm=50.0)])
     path = [commands[-1].target, *state.path]
     assert path == [low.at_height(35.0), APPROACH, APPROACH]
+    _, onwards = step(state, at(low.at_height(35.0)))
+    assert [commands[-1].motion, onwards[-1].motion] == ["retract", "travel"], "slowly from between the blocks"
 
 
 @pytest.mark.parametrize(("held", "lifted_mm"), [(False, 85.0), (True, 45.0)])
