@@ -14,6 +14,8 @@ from service.contract.wire import ClientMessage
 
 Post = Callable[[Event], None]
 HomingDirection = Literal["default", "outward", "inward"]
+NOT_CONFIRMED = "STOP NOT CONFIRMED"
+"""How an arm's farewell begins if its controller did not report the stop."""
 
 
 class DriverError(ValueError):

@@ -88,7 +88,14 @@ class Settings(Contract):
     @property
     def errands(self) -> Errands:
         """The errands on the configured devices."""
-        return Errands(self.make_arm, self.make_gripper, self.limits, self.ramps, self.timeouts.motion_s)
+        return Errands(
+            make_arm=self.make_arm,
+            make_gripper=self.make_gripper,
+            limits=self.limits,
+            ramps=self.ramps,
+            motion_s=self.timeouts.motion_s,
+            clear_mm=self.task.approach_z_mm,
+        )
 
 
 def load_settings(path: Path | None, overrides: dict[str, Any] | None = None) -> Settings:

@@ -8,7 +8,6 @@ from robot_client.cli.insert import make_plan, with_commissioning
 from robot_client.cli.terminal import Outcome, show
 from robot_client.insertion.events import Event, Failure, FromService
 from robot_client.insertion.limits import check_pose
-from robot_client.insertion.motion import check_ramps
 from robot_client.ports import Check, DriverError, Finding, Signals
 from robot_client.session.commission.record import commissioned
 from robot_client.session.service_link import ServiceLink
@@ -78,11 +77,9 @@ async def _plan(settings: Settings) -> list[Finding]:
     bottom = plan.deepest
     check_pose(settings.limits, plan.approach, "approach")
     check_pose(settings.limits, bottom, "full insertion")
-    check_ramps(settings.limits, settings.ramps)
+    plan.check()
     if settings.cycle:
-        for name, pose in (("cycle.pick", settings.cycle.pick), ("cycle.reject", settings.cycle.reject)):
-            if pose is not None:
-                check_pose(settings.limits, pose, name)
+        settings.cycle.check(settings.limits)
     probing_mm_s, start_mm = settings.ramps.descend.speed_mm_s, plan.approach.z_mm
     legs = plan.pace.legs(start_mm, bottom.z_mm, probing_mm_s, plan.tops) if plan.pause_s else ()
     way = settings.ramps.in_legs(start_mm, legs) if legs else settings.ramps.profile(plan.approach, bottom, "descend")

@@ -10,7 +10,7 @@ from robot_client.cli.insert import fixture_of, live_ports, make_plan
 from robot_client.cli.terminal import Outcome, rehearsed, show, stop_on_signals, warning
 from robot_client.insertion.events import Event, FromService
 from robot_client.insertion.limits import check_pose
-from robot_client.insertion.state import Plan, State
+from robot_client.insertion.state import Phase, Plan, State
 from robot_client.ports import DriverError
 from robot_client.session.commission.kept_gripper import KeptGripper
 from robot_client.session.commission.lateness import MOST_N, PLACE, slow_and_fast
@@ -36,7 +36,7 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
     taught = settings.cycle
     if taught is None:
         raise SettingsError("commission: the configuration lacks the table [cycle] with pick and open_mm")
-    check_pose(settings.limits, taught.pick, "cycle.pick")
+    taught.check(settings.limits)
     for x_mm, theta_deg in (*SIDES, REACH, (-REACH[0], -REACH[1])):
         check_pose(settings.limits, make_plan(settings, x_mm, theta_deg, None, None).approach, "a probe")
     path = out / RECORD
@@ -113,6 +113,10 @@ class Probing:
         arm, gripper, service = live_ports(self._settings, plan)
         runner = Runner(plan, arm, kept or gripper, service, log, (felt, watch))
         state = await runner.run()
+        if state.phase is not Phase.PROBED:
+            show(f"  robot: {runner.farewell}")
+        if log.lost:
+            show(f"  log {log.path} BROKEN OFF: {log.lost}")
         self._rate_hz = min(felt.rates_hz, default=self._rate_hz)
         done = probe_of(plan.insertion_id, plan.approach, felt.answer)
         return Ended(done, state.phase, state.reason, felt.gels, watch.stop)
@@ -147,7 +151,7 @@ async def _commission(probing: Probing, probes_n: int, path: Path, record: Recor
     try:
         await probing.begin()
         record = await running.run(probes_n)
-    except DriverError as error:
+    except ValueError as error:
         record, reason = running.record, str(error)
         show(f"HOLD  {error}")
     finally:

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from robot_client.cli.insert import fixture_of, live_ports, make_plan, with_commissioning
 from robot_client.cli.terminal import Outcome, rehearsed, show, stop_on_signals, warning
-from robot_client.insertion.limits import check_pose
-from robot_client.insertion.state import Plan, State
+from robot_client.insertion.state import Phase, Plan, State
 from robot_client.ports import DriverError
 from robot_client.session.afresh import new_id, upright
 from robot_client.session.cycle import Count, Cycle, CycleSettings, Pace
@@ -26,11 +25,7 @@ def cycle(settings: Settings, *, live: bool, asked: bool, parts_n: int | None, l
     taught = settings.cycle
     if taught is None:
         raise SettingsError("cycle: the configuration lacks the table [cycle] with pick and open_mm")
-    poses = {"cycle.pick": taught.pick, "cycle.reject": taught.reject}
-    for name, pose in poses.items():
-        if pose is not None:
-            check_pose(settings.limits, pose, name)
-            check_pose(settings.limits, pose.at_height(pose.z_mm + taught.retreat_mm), f"above {name}")
+    taught.check(settings.limits)
     show(warning(live=live, simulated=settings.simulated))
     if not live:
         return _rehearse(settings, taught)
@@ -65,6 +60,10 @@ async def _cycle(
         written = log / f"{plan.insertion_id}.jsonl" if log else None
         runner = Runner(plan, arm, gripper, service, Recorder(written, plan), (report,))
         state = await runner.run()
+        if state.phase is not Phase.INSERTED:
+            show(f"  robot: {runner.farewell}")
+        if runner.recorder.lost:
+            show(f"  log {written} BROKEN OFF: {runner.recorder.lost}")
         if not state.done or state.reason.startswith("operator:"):
             raise DriverError(f"part {number}: interrupted, the arm holds")
         return state
@@ -95,7 +94,10 @@ def _take_orders(pace: Pace) -> None:
     loop = asyncio.get_running_loop()
 
     def read() -> None:
-        if line := sys.stdin.readline():
+        line = ""
+        with contextlib.suppress(OSError):  # in the background the terminal is the shell's
+            line = sys.stdin.readline()
+        if line:
             show(pace.order(line))
         else:
             loop.remove_reader(sys.stdin)
@@ -103,6 +105,7 @@ def _take_orders(pace: Pace) -> None:
     def toggle() -> None:
         show(pace.order("resume" if pace.paused else "pause"))
 
+    signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # to read there would stop the process, and guidance with it
     if sys.stdin is not None and sys.stdin.isatty():
         with contextlib.suppress(OSError, ValueError, PermissionError):
             loop.add_reader(sys.stdin, read)

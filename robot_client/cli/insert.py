@@ -28,6 +28,7 @@ def make_plan(
     return Plan(
         insertion_id=insertion_id or new_id(),
         approach=approach,
+        over_mm=None if settings.cycle is None else settings.cycle.above(settings.cycle.pick).z_mm,
         clearance_mm=task.approach_clearance_mm,
         gap_width_mm=task.gap_width_mm,
         tops_level_mm=task.tops_level_mm,
@@ -80,6 +81,8 @@ def live_ports(settings: Settings, plan: Plan) -> tuple[Arm, Gripper, DecisionSe
 
 def insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> Outcome:
     """Run one insertion; done if inserted. Raises DriverError if a device is not ready."""
+    if settings.cycle:
+        settings.cycle.check(settings.limits)
     show(warning(live=live, simulated=settings.simulated))
     show(f"insertion {plan.insertion_id}: start x {plan.approach.x_mm:+.2f} mm, yaw {plan.approach.yaw_deg:+.2f} deg")
     return asyncio.run(_insert(settings, plan, live=live, log=log))

@@ -24,6 +24,6 @@ def jog(settings: Settings, target: WorkPose, *, live: bool) -> Outcome:
 
 async def _jog(settings: Settings, target: WorkPose) -> Outcome:
     stop_on_signals()
-    here = await settings.errands.go(over_to(target), show)
+    here = await settings.errands.go(over_to(target, target.z_mm), show)
     show(f"at   {pose_text(here)}")
     return Outcome(True, {"live": True, "target": target.model_dump(), "pose": here.model_dump()})

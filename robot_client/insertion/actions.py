@@ -83,12 +83,16 @@ def go(
 
 
 def approach(state: State, at_s: float) -> Result:
-    """Up along the vertical if the arm is below the approach height, over, then down: never sideways low down."""
+    """Up along the vertical if the arm is lower than that, over, then down: never sideways low down.
+
+    From below the approach it goes up slowly: the object may stand between the blocks, after a fault.
+    """
     assert state.pose is not None
-    end, here = state.plan.approach, state.pose
-    height_mm = max(here.z_mm, end.z_mm)
+    end, here, over_mm = state.plan.approach, state.pose, state.plan.over_mm
+    lifted_mm = end.z_mm if over_mm is None or state.held else over_mm
+    height_mm = max(here.z_mm, end.z_mm, lifted_mm)
     path = (here.at_height(height_mm), end.at_height(height_mm), end)
-    return go(state, Phase.APPROACHING, path, "travel", at_s)
+    return go(state, Phase.APPROACHING, path, "retract" if here.z_mm < end.z_mm else "travel", at_s)
 
 
 def arm(state: State, target: WorkPose, at_s: float) -> Result:

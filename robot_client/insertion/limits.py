@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from robot_client.insertion.geometry import WorkPose
 from service.contract.frames import Contract
@@ -31,7 +31,7 @@ class Limits(Contract):
     y_mm: tuple[float, float] = (-20.0, 20.0)
     z_mm: tuple[float, float] = (5.0, 150.0)
     yaw_deg: tuple[float, float] = (-45.0, 45.0)
-    max_tilt_deg: Positive = 2.0
+    max_tilt_deg: float = Field(default=2.0, gt=0, le=5)  # guidance begins by righting the tool, in one step
     max_straighten_deg: float = Field(default=1.5, ge=0.0)
     max_speed_mm_s: Positive = 80.0
     max_descent_speed_mm_s: Positive = 15.0
@@ -43,6 +43,21 @@ class Limits(Contract):
     max_attempts: int = Field(default=MAX_ATTEMPTS, ge=1, le=MAX_ATTEMPTS)
     max_correction_age_s: Positive = 5.0
     max_tracking_mm: Positive = 10.0
+
+    @field_validator("yaw_deg")
+    @classmethod
+    def _within_a_turn(cls, yaw_deg: tuple[float, float]) -> tuple[float, float]:
+        """Refuse more: a pose would have two yaws in the box, and the arm might turn all the way from one to it."""
+        low, high = yaw_deg
+        if high - low > 360.0:
+            raise ValueError(f"from {low:g} to {high:g} is more than a whole turn")
+        return yaw_deg
+
+    @property
+    def middle_yaw_deg(self) -> float:
+        """The yaw of the box that is within half a turn of all others."""
+        low, high = self.yaw_deg
+        return low + (high - low) / 2.0
 
 
 _TOLERANCE = 1.0 + 1e-6

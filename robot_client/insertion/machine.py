@@ -153,7 +153,7 @@ def _on_standstill(state: State, event: Standstill) -> Result:
     if outcome == "dropped":
         state, commands = fail(state, "gripper", "part_lost", f"the object was lost at {depth_mm:.2f} mm")
         return state, (stopped, *commands)
-    if outcome == "blocked" and state.attempt >= plan.limits.max_attempts:
+    if outcome == "blocked" and state.attempt >= plan.limits.max_attempts and not plan.only_probes:
         state, commands = fail(state, "client", "attempts", f"not inserted after {state.attempt} attempts")
         return state, (stopped, *commands)
     if plan.only_probes and outcome == "inserted":  # no contact, so there is nothing to report

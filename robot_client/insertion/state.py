@@ -40,6 +40,7 @@ class Phase(StrEnum):
 TERMINAL = frozenset({Phase.INSERTED, Phase.PROBED, Phase.FAILED})
 REFUSED = "service: refused: turned_in_hand:"
 TURNED = (REFUSED, "service: afresh:")
+LEANS_DEG = 0.5  # inaccuracy of an upright tool that limits.max_tilt_deg leaves room for
 SLOWEST_MM_S = 4.0  # after an object has turned; more slowly, frames at 120 Hz are closer together than in training
 
 
@@ -57,6 +58,9 @@ class Timeouts(Contract):
 
 class Plan(Contract):
     """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
+
+    ``over_mm``: height to which an object that is grasped first is lifted out of its fixture before it goes sideways;
+    None: no higher than the approach.
 
     ``continues``: the insertion that this one continues, with the object regrasped. ``fixture``: whether there is one
     for regrasping an object that has turned in the hand. ``gels``: gels with which the cell was commissioned.
@@ -79,6 +83,7 @@ class Plan(Contract):
     continues: wire.InsertionId | None = None
     fixture: bool = False
     approach: WorkPose
+    over_mm: float | None = None
     clearance_mm: Positive = 5.0
     gap_width_mm: float = Field(gt=0, le=1000)  # these six have the bounds of the message `arm`
     grasp_height_mm: float | None = Field(default=None, gt=0, le=500)
@@ -112,7 +117,11 @@ class Plan(Contract):
         return self.model_copy(update={"ramps": ramps, "lease": self.lease.at_most(speed_mm_s)})
 
     def check(self) -> None:
-        """Raise LimitError for a pose, a ramp, a speed or a lease that is not allowed."""
+        """Raise LimitError for a pose, a ramp, a speed or a lease that is not allowed, or a depth above the blocks."""
+        least_mm = self.expected_depth_mm - self.depth_tolerance_mm
+        if not least_mm > self.clearance_mm:
+            above = f"the object is still above the blocks there (approach_clearance_mm = {self.clearance_mm:g})"
+            raise LimitError(f"expected_depth_mm less its tolerance is {least_mm:g}: {above}")
         for target in (self.approach, self.deepest):
             check_pose(self.limits, target, "plan")
         check_ramps(self.limits, self.ramps)
@@ -128,8 +137,10 @@ class Plan(Contract):
 
     @property
     def most_tilt_deg(self) -> float:
-        """How far the service may ask to tilt the tool."""
-        return self.limits.max_straighten_deg if self.signs_known else 0.0
+        """How far the service may ask to tilt the tool; the arm, which leans by itself, keeps to its limit then."""
+        if not self.signs_known:
+            return 0.0
+        return min(self.limits.max_straighten_deg, max(0.0, self.limits.max_tilt_deg - LEANS_DEG))
 
     @property
     def tops(self) -> Tops:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Motion
 from robot_client.insertion.state import Plan, State
-from robot_client.session.travel import Errands, over_to, straight_up
+from robot_client.session.travel import Errands, over_to
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,8 +22,7 @@ class Fixture:
 
     async def put_back(self, up: Motion = "retract") -> None:
         """Straight up, slowly from between the blocks, over, down, and open; raises DriverError, LimitError."""
-        for way in (straight_up(self.retreat_mm, up), over_to(self.pick)):
-            await self.errands.go(way)
+        await self.errands.go(over_to(self.pick, max(self.errands.clear_mm, self.pick.z_mm + self.retreat_mm), up))
         await self.errands.with_gripper(lambda gripper: gripper.release(self.open_mm))
 
 

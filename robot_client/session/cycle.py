@@ -11,11 +11,12 @@ from dataclasses import dataclass, field
 from pydantic import Field
 
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.limits import Limits, Motion, check_pose
 from robot_client.insertion.state import Phase, State
 from robot_client.ports import DriverError, Gripper
 from robot_client.session.handshake import Handshake, HandshakeSettings
 from robot_client.session.runner import to_the_end
-from robot_client.session.travel import Errands, over_to, straight_up
+from robot_client.session.travel import Errands, Way, over_to, straight_up
 from service.contract.frames import Contract
 
 PATIENCE_S = 0.1
@@ -27,7 +28,8 @@ REJECTED = ("client: attempts:", "service: no_decision:", "service: refused:")
 class CycleSettings(Contract):
     """``[cycle]``: taught poses of the TCP and widths. ``reject`` None: hold with the object in the hand.
 
-    ``pick``: pose in which the fingers close on an object, from a fixture or from a hand. ``retreat_mm``: straight up.
+    ``pick``: pose in which the fingers close on an object, from a fixture or from a hand. ``retreat_mm``: straight up,
+    clear of an object that stands there.
     """
 
     pick: WorkPose
@@ -36,6 +38,17 @@ class CycleSettings(Contract):
     reject: WorkPose | None = None
     max_rejects_in_a_row: int = Field(default=2, ge=0, le=100)
     plc: HandshakeSettings | None = None
+
+    def check(self, limits: Limits) -> None:
+        """Raise LimitError for a taught pose, or the height above it, that is not allowed."""
+        for name, pose in (("cycle.pick", self.pick), ("cycle.reject", self.reject)):
+            if pose is not None:
+                check_pose(limits, pose, name)
+                check_pose(limits, self.above(pose), f"above {name}")
+
+    def above(self, pose: WorkPose) -> WorkPose:
+        """Where the arm comes to ``pose`` from, and leaves it to."""
+        return pose.at_height(pose.z_mm + self.retreat_mm)
 
 
 class CycleHeldError(DriverError):
@@ -104,8 +117,17 @@ class Cycle:
             raise CycleHeldError("operator: interrupted between two steps, nothing moves") from None
         finally:
             if self.plc:
-                await to_the_end(self.plc.end(fault=fault))
+                await to_the_end(self._end(self.plc, fault=fault))
         return self.count
+
+    async def _end(self, plc: Handshake, *, fault: bool) -> None:
+        """Sign off; a controller that no longer answers hides no fault before it."""
+        try:
+            await plc.end(fault=fault)
+        except DriverError as error:
+            if not fault:
+                raise
+            self.show(f"the PLC may not know of the fault: {error}")
 
     async def _begin(self) -> None:
         if self.plc:
@@ -135,7 +157,7 @@ class Cycle:
         number = self.count.inserted_n + self.count.rejected_n + 1
         self.show(f"part {number}: picking")
         await self._open()
-        await self.errands.go(over_to(self.settings.pick))
+        await self.errands.go(self._over_to(self.settings.pick))
         state = await self.insert(number)
         if state.phase is not Phase.INSERTED:
             await self._reject(number, state)
@@ -162,11 +184,14 @@ class Cycle:
         if await self.errands.with_gripper(lambda gripper: gripper.finds_nothing()):
             raise CycleHeldError(f"part {number}: not inserted, and no longer in the hand; {state.reason}")
         self.show(f"part {number}: rejected ({state.reason})")
-        await self.errands.go(straight_up(self.settings.retreat_mm))
-        await self.errands.go(over_to(reject))
+        await self.errands.go(self._over_to(reject, "retract"))
         await self._open()
-        await self.errands.go(straight_up(self.settings.retreat_mm))
+        above = self.settings.above(reject)
+        await self.errands.go(over_to(above, above.z_mm, "retract"))
         self.count.rejected_n, self.count.in_a_row_n = self.count.rejected_n + 1, self.count.in_a_row_n + 1
+
+    def _over_to(self, taught: WorkPose, up: Motion = "travel") -> Way:
+        return over_to(taught, max(self.errands.clear_mm, self.settings.above(taught).z_mm), up)
 
     async def _open(self) -> None:
         await self.errands.with_gripper(lambda gripper: gripper.release(self.settings.open_mm))

@@ -7,34 +7,35 @@ from dataclasses import dataclass
 from robot_client.insertion.events import Arrived, Event, Failure
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Limits, Motion, check_pose
-from robot_client.insertion.motion import Ramps
-from robot_client.ports import Arm, DriverError, Gripper
+from robot_client.insertion.motion import Ramps, check_ramps
+from robot_client.ports import NOT_CONFIRMED, Arm, DriverError, Gripper
 from robot_client.session.runner import to_the_end, was_cancelled
 
 Way = Callable[[WorkPose], Sequence[tuple[WorkPose, Motion]]]
 """The corners from the arm's present pose, and the motion to each."""
 
 
-def over_to(target: WorkPose) -> Way:
-    """Up or stay, over, then down: never sideways near the blocks."""
+def over_to(target: WorkPose, clear_mm: float, up: Motion = "travel") -> Way:
+    """Up to ``clear_mm`` at least, over, then down: never sideways near the blocks or into a fixture."""
 
     def way(here: WorkPose) -> Sequence[tuple[WorkPose, Motion]]:
-        height_mm = max(here.z_mm, target.z_mm)
-        return [(here.at_height(height_mm), "travel"), (target.at_height(height_mm), "travel"), (target, "travel")]
+        height_mm = max(here.z_mm, target.z_mm, clear_mm)
+        return [(here.at_height(height_mm), up), (target.at_height(height_mm), "travel"), (target, "travel")]
 
     return way
 
 
-def straight_up(by_mm: float, motion: Motion = "retract") -> Way:
+def straight_up(by_mm: float) -> Way:
     """Up along the vertical; slowly, away from a released object."""
-    return lambda here: [(here.at_height(here.z_mm + by_mm), motion)]
+    return lambda here: [(here.at_height(here.z_mm + by_mm), "retract")]
 
 
 @dataclass(frozen=True, slots=True)
 class Errands:
     """Motions of arm and gripper outside an insertion; each errand connects, does one thing and always closes.
 
-    ``motion_s`` is added to the planned time of each line of a way.
+    ``motion_s`` is added to the planned time of each line of a way. ``clear_mm``: height from which on nothing of the
+    gap is in the way sideways.
     """
 
     make_arm: Callable[[], Arm]
@@ -42,13 +43,15 @@ class Errands:
     limits: Limits
     ramps: Ramps
     motion_s: float
+    clear_mm: float
 
     async def go(self, way: Way, show: Callable[[str], None] = lambda _text: None) -> WorkPose:
         """Follow the way; returns the arm's final pose, measured. ``show`` prints its start and its end.
 
-        Raises LimitError before anything moves if a corner is not allowed, DriverError if the arm fails or is
+        Raises LimitError before anything moves if a corner or a ramp is not allowed, DriverError if the arm fails or is
         interrupted.
         """
+        check_ramps(self.limits, self.ramps)
         events: asyncio.Queue[Event] = asyncio.Queue()
         arm, interrupted = self.make_arm(), False
         try:
@@ -89,7 +92,10 @@ class Errands:
 
 
 async def _end(arm: Arm, show: Callable[[str], None]) -> None:
-    show(await arm.close())
+    farewell = await arm.close()
+    show(farewell)
+    if farewell.startswith(NOT_CONFIRMED):
+        raise DriverError(f"robot: {farewell}")
 
 
 def pose_text(pose: WorkPose) -> str:

@@ -70,7 +70,8 @@ class Fixture:
 @contextlib.asynccontextmanager
 async def cell_with(seed=0, **overrides):
     part = Fixture(seed)
-    async with bench(holding=False, overrides={**QUICK, **overrides}, part=part) as cell:
+    taught = {"pick": PICK.model_dump(), "open_mm": OPEN_MM, "retreat_mm": RETREAT_MM}
+    async with bench(holding=False, overrides={**QUICK, "cycle": taught, **overrides}, part=part) as cell:
         part.cell = cell
         cell.service.share = 1.0  # one correction is enough: these tests are about what comes before and after
         cell.cabinet.signals |= dict.fromkeys(SIGNALS, 0.0)

@@ -1,6 +1,7 @@
 """The whole cycle against emulated devices over real sockets: nothing is released in a wrong place."""
 
 import asyncio
+import itertools
 import math
 from collections import Counter
 from functools import partial
@@ -16,6 +17,7 @@ from robot_client.session.cycle import CycleHeldError, Pace
 from robot_client.session.handshake import HandshakeSettings
 from service.contract import wire
 from tests.robot_client.cycle_cell import (
+    PICK,
     REJECT,
     RETREAT_MM,
     SIGNALS,
@@ -57,6 +59,9 @@ def test_parts_are_picked_inserted_and_let_go_in_order(parts_n):
     low = min(at[2] for at in last)
     column = [at for at in last if at[2] < low + 25.0]
     assert max(abs(at[0] - column[0][0]) for at in column) < 0.2, "it retreats along the vertical"
+    way = [pose.position_mm for _, _, pose in trace]
+    aside = [b for a, b in itertools.pairwise(way) if b[0] < PICK.x_mm / 2 and math.dist(a[:2], b[:2]) > 0.02]
+    assert min(at[2] for at in aside) > PICK.z_mm + RETREAT_MM - 0.5, "into its fixture and out of it from above"
 
 
 @pytest.mark.slow
@@ -93,9 +98,9 @@ def test_a_part_that_has_turned_in_the_hand_is_taken_afresh_and_tried_again_more
     assert speeds[1] < speeds[0]
     assert measured == pytest.approx(speeds, rel=0.2), "as fast as told, for which the lease is made"
     assert held
-    (x, y, z), *way = back
+    (x, y, _), *way = back
     aside = next(at for at in way if math.hypot(at[0] - x, at[1] - y) > 0.2)
-    assert aside[2] > z + RETREAT_MM - 0.2, "first straight up, from between its neighbours, then over"
+    assert aside[2] > PICK.z_mm + RETREAT_MM - 0.2, "first straight up, from between its neighbours, then over"
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import pytest
 from robot_client.ports import DriverError
 from robot_client.robots.abb_rws.client import RwsClient
 from robot_client.robots.abb_rws.generation import RwsError
+from robot_client.session.travel import straight_up
 from robot_client.settings import SettingsError, load_settings
 from service.contract import wire
 from service.web.routes.insertion import HELLO_TIMEOUT_S
@@ -135,6 +136,16 @@ def test_a_stop_that_the_controller_ignores_is_reported_as_not_confirmed():
             return outcome
 
     assert "NOT CONFIRMED" in asyncio.run(story())
+
+
+def test_an_errand_whose_stop_is_not_confirmed_says_so():
+    async def story():
+        async with bench(overrides={"robot": {"rws": {"stop_timeout_s": 0.3}}}) as cell:
+            cell.board.update({"rws": {"stop_ignored": True}})
+            with pytest.raises(DriverError, match=r"STOP NOT CONFIRMED .*: use the stop button"):
+                await cell.settings.errands.go(straight_up(1.0))
+
+    asyncio.run(story())
 
 
 def test_a_stop_survives_refusals_and_cut_connections():

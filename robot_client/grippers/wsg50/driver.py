@@ -22,6 +22,7 @@ from robot_client.ports import Check, DriverError, Finding, Gripper, HomingDirec
 from robot_client.silence import Silence
 
 _HOME = "`python -m robot_client home --live` with empty fingers"
+_ACKNOWLEDGE = "`python -m robot_client home --live --acknowledge`"
 _READ_BYTES = 4096
 _WIDTH_STEP_MM = 0.1  # a smaller change of the width is not reported
 _OPENED_MM = 1.0
@@ -70,17 +71,12 @@ class Wsg50(Gripper):
         self._reader = asyncio.get_running_loop().create_task(self._read(reader))
         stroke, v0, v1, _, _, f0, f1, _ = (float(v) for v in (await self.request(Command.SYSTEM_LIMITS)).values)
         self.limits = {"force_limit_n": (f0, f1), "grasp_speed_mm_s": (v0, v1), "grasp_width_mm": (0.0, stroke)}
-        (bits,) = (await self.request(Command.SYSTEM_STATE, UpdateFlag.ONCE, 0)).values
-        self.system = SystemState(int(bits))
-        await self.request(Command.GRASPING_STATE, UpdateFlag.ONCE, 0)
+        await self._read_state()
 
     async def start(self, post: Post) -> None:
         """Connect, then watch the grasping state; raises GripperError, also for a latched fault."""
         await self.connect()
-        fault = self._fault()
-        if fault:
-            acknowledge = "`python -m robot_client home --live --acknowledge`"
-            raise GripperError(f"gripper: {fault}; find the cause, then {acknowledge}")
+        self._check_healthy()
         await self._subscribe()
         self._post = post
         self._spawn(self._watch())
@@ -108,6 +104,7 @@ class Wsg50(Gripper):
     async def acknowledge(self) -> None:
         """Clear a latched fault; raises GripperError."""
         await self.request(Command.ACKNOWLEDGE, codec.ACKNOWLEDGE_WORD)
+        await self._read_state()  # a part may still be held
 
     async def width_mm(self) -> float:
         """Opening between the fingers; raises GripperError."""
@@ -120,15 +117,14 @@ class Wsg50(Gripper):
 
     async def home(self, direction: HomingDirection) -> float:
         """Reference the axis; refuses while something is held, since homing opens the fingers. Width in mm."""
-        if self.state is GraspingState.HOLDING:
+        self._check_healthy()
+        if self.held:
             raise GripperError("gripper: holds a part; homing would drop it")
         await self.request(Command.HOMING, int(codes.HomingDirection[direction.upper()]))
         return await self.width_mm()
 
     async def release(self, width_mm: float) -> float:
         """Open to ``width_mm``; raises GripperError if the fingers stop elsewhere or still hold something."""
-        if fault := self._fault():
-            raise GripperError(f"gripper: {fault}; nothing is opened")
         await self._open_fingers(width_mm)
         reached_mm = await self.width_mm()
         if not abs(reached_mm - width_mm) <= _OPENED_MM or self.held:
@@ -165,16 +161,14 @@ class Wsg50(Gripper):
             raise GripperError(f"gripper: {command.name}: {self._lost or reply.status.name}")
         return reply
 
-    def _fault(self) -> str:
-        faults = self.system & FAULT_BITS
-        return f"fault {faults.name}" if faults else ""
-
-    async def _subscribe(self) -> None:
-        for command in (Command.WIDTH, Command.GRASPING_STATE):
-            await self.request(command, UpdateFlag.PERIODIC, self.settings.update_period_ms)
+    async def _subscribe(self) -> float:
+        """Have state and width sent until one is asked for once, which ends it ([M] 3.4.1); returns the width in mm."""
+        for command in (Command.GRASPING_STATE, Command.WIDTH):
+            reply = await self.request(command, UpdateFlag.PERIODIC, self.settings.update_period_ms)
+        return float(reply.values[0])
 
     async def _open_fingers(self, width_mm: float) -> None:
-        self._check_referenced()
+        self._check_ready()
         low, high = self.limits["grasp_width_mm"]
         if not low <= width_mm <= high:
             raise GripperError(f"gripper: cannot open to {width_mm:g} mm, this gripper allows {low:g} .. {high:g}")
@@ -184,22 +178,28 @@ class Wsg50(Gripper):
         await self._read_state()
 
     async def _read_state(self) -> None:
+        (bits,) = (await self.request(Command.SYSTEM_STATE, UpdateFlag.ONCE, 0)).values
+        self.system = SystemState(int(bits))
         await self.request(Command.GRASPING_STATE, UpdateFlag.ONCE, 0)
 
-    def _check_referenced(self) -> None:
+    def _check_healthy(self) -> None:
+        if faults := self.system & FAULT_BITS:
+            raise GripperError(f"gripper: fault {faults.name}; find the cause, then {_ACKNOWLEDGE}")
+
+    def _check_ready(self) -> None:
+        self._check_healthy()
         if SystemState.REFERENCED not in self.system:
             raise GripperError(f"gripper: not homed; run {_HOME}")
 
     async def _close_fingers(self) -> None:
         settings = self.settings
-        self._check_referenced()
+        self._check_ready()
         for name, (low, high) in self.limits.items():  # out of range the gripper may clamp or latch a fast stop
             value = getattr(settings, name)
             if not low <= value <= high:
                 raise GripperError(f"gripper: {name} = {value:g}, this gripper allows {low:g} .. {high:g}")
         await self.request(Command.SET_FORCE_LIMIT, settings.force_limit_n)
         await self.request(Command.GRASP, settings.grasp_width_mm, settings.grasp_speed_mm_s)
-        await self._subscribe()
 
     # ---- background -----------------------------------------------------------------------------------------------
 
@@ -220,15 +220,15 @@ class Wsg50(Gripper):
 
     async def _grasp(self) -> None:
         try:
-            if self.state is not GraspingState.HOLDING:
-                await self._close_fingers()
-            width_mm = await self.width_mm()
+            if not self.held and await self.finds_nothing():
+                at = f"grasp_width_mm = {self.settings.grasp_width_mm:g}"
+                raise GripperError(f"gripper: closed to {at} on nothing; is the object between the fingers?")
+            width_mm = await self._subscribe()
         except GripperError as error:
             self._fail("grasp", str(error))
             return
-        if self.state is not GraspingState.HOLDING:
-            name = self.state.name if self.state is not None else "unknown"
-            self._fail("grasp", f"gripper: grasping state is {name}, expected HOLDING")
+        if not self.held:
+            self._fail("grasp", f"gripper: grasping state is {self.state and self.state.name}, expected HOLDING")
         elif self._post is not None:
             self._post(Grasped(at_s=time.monotonic(), width_mm=width_mm))
 

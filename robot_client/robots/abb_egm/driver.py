@@ -179,7 +179,7 @@ class EgmArm:
     def _on_datagram(self, datagram: bytes, now_s: float) -> None:
         try:
             state = codec.decode_robot(datagram)
-            near_deg = self._guide.target.yaw_deg if self._guide else 0.0
+            near_deg = self._guide.target.yaw_deg if self._guide else self.limits.middle_yaw_deg
             measured, tilt_deg = self.frame.from_controller(state.feedback, near_deg)
         except ValueError as error:
             self._watch.bad(str(error))

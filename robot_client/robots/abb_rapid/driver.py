@@ -198,7 +198,7 @@ class SocketArm:
     def _on_guard(self, text: str) -> None:
         try:
             state = codec.decode_guard(text)
-            near_deg = self._here.yaw_deg if self._here else 0.0
+            near_deg = self._here.yaw_deg if self._here else self.limits.middle_yaw_deg
             self._here, tilt_deg = self.frame.from_controller(state.pose, near_deg)
         except ValueError:
             return  # not an answer: only answers keep the link alive

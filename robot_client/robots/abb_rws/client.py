@@ -13,7 +13,7 @@ from typing import Any
 
 import httpx
 
-from robot_client.ports import Finding
+from robot_client.ports import NOT_CONFIRMED, Finding
 from robot_client.robots.abb_rws.generation import (
     CHALLENGE,
     Generation,
@@ -104,7 +104,8 @@ class RwsClient:
             raise RwsError("the RAPID program runs already; stop it, so that guidance starts from a known state")
         self.started = True  # from here on we have to stop the program, whatever the answer
         await self._order("start", {**_START, "cycle": self.settings.cycle})
-        await self._until("ctrlexecstate", "running", self.settings.start_timeout_s)
+        pointer = "; look at the pendant: is the program pointer at main?"
+        await self._until("ctrlexecstate", "running", self.settings.start_timeout_s, pointer)
 
     async def stop_program(self) -> str:
         """Request a stop and poll until the controller reports it; never raises, returns in words how it ended."""
@@ -121,7 +122,7 @@ class RwsClient:
             except RwsError as error:
                 last, asked = str(error), False
             await asyncio.sleep(self.settings.poll_s)
-        return f"STOP NOT CONFIRMED by the controller ({last}): use the stop button"
+        return f"{NOT_CONFIRMED} by the controller ({last}): use the stop button"
 
     async def read_signal(self, name: str) -> bool:
         """Whether a digital signal of the controller is on; raises RwsError."""
@@ -147,12 +148,12 @@ class RwsClient:
             self._generation = generation
         return self._generation
 
-    async def _until(self, key: Resource, wanted: str, timeout_s: float) -> None:
+    async def _until(self, key: Resource, wanted: str, timeout_s: float, remedy: str = "") -> None:
         deadline_s = time.monotonic() + timeout_s
         value = await self._state(key)
         while value != wanted:
             if time.monotonic() > deadline_s:
-                raise RwsError(f"{key} is {value} after {timeout_s:g} s, expected {wanted}")
+                raise RwsError(f"{key} is {value} after {timeout_s:g} s, expected {wanted}{remedy}")
             await asyncio.sleep(self.settings.poll_s)
             value = await self._state(key)
 

@@ -54,7 +54,9 @@ class Record(Contract):
 def commissioned(path: Path) -> Record:
     """The record of a cell that may insert; raises ContractError for an uncommissioned cell, or named mistakes."""
     record = read_record(path)
-    if record is None or len(record.signs) < len(SIDES):
+    if record is None:
+        raise ContractError(f"{path}: there is no such file; run `commission --live`, or name its whole path")
+    if len(record.signs) < len(SIDES):
         raise ContractError(f"{path}: this cell was not commissioned to the end; run `commission --live`")
     if named := record.named or mistakes(record.signs):  # it may have been interrupted before they were written
         raise ContractError(f"{path} names mistakes; mend them and commission again: {'; '.join(named)}")
@@ -77,12 +79,18 @@ def read_record(path: Path) -> Record | None:
 
 
 def keep_record(path: Path, record: Record) -> None:
-    """Write it atomically, with its digest, so that a kill or a power cut leaves the previous record."""
+    """Write it atomically, with its digest, so that a kill or a power cut leaves the previous record.
+
+    So does a full disk: raises ContractError.
+    """
     record = record.model_copy(update={"sha256": record.digest()})
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".tmp")
-    with temporary.open("w", encoding="utf-8") as file:
-        file.write(json.dumps(record.model_dump(mode="json"), indent=1) + "\n")
-        file.flush()
-        os.fsync(file.fileno())
-    temporary.replace(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(json.dumps(record.model_dump(mode="json"), indent=1) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    except OSError as error:
+        raise ContractError(f"cannot write {path}: {error.strerror}; the last probe is not in it") from None

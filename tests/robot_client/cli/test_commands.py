@@ -36,6 +36,16 @@ from tests.robot_client.live_cell import bench
         ("[limits]\nz_mm = [5, 900]\n[task]\napproach_z_mm = 600", "grasp_height_mm"),
         ("[timeouts]\ndeciding_s = 0", "timeouts.deciding_s"),
         ("[work_object]\nrotation = [0, 0, 0, 0]", "no rotation"),
+        (
+            "[cycle]\nopen_mm = 80\n[cycle.pick]\nx_mm = 300\ny_mm = 0\nz_mm = 45\nyaw_deg = 0",
+            "cycle.pick x_mm = 300.000, allowed -40 .. 40",
+        ),
+        (
+            "[cycle]\nopen_mm = 80\n[cycle.pick]\nx_mm = 0\ny_mm = 0\nz_mm = 115\nyaw_deg = 0",
+            "above cycle.pick z_mm = 155.000, allowed 5 .. 150",
+        ),
+        ("[task]\nexpected_depth_mm = 4", "expected_depth_mm less its tolerance is 3"),
+        ("[task]\ndepth_tolerance_mm = 24.0", "expected_depth_mm less its tolerance is 1"),
         ("[ramps.travel]\nspeed_mm_s = 0\nacceleration_mm_s2 = 1\njerk_mm_s3 = 1", "limits"),
     ],
 )
@@ -230,7 +240,7 @@ def test_home_refuses_to_drop_a_part_and_acknowledges_only_on_request(capsys):
                 await _home(cell.settings, acknowledge=False, direction="default")
         async with bench(holding=False) as cell:
             cell.gripper.fast_stop()
-            with pytest.raises(GripperError, match="ACCESS_DENIED"):
+            with pytest.raises(GripperError, match="fault FAST_STOP; find the cause"):
                 await _home(cell.settings, acknowledge=False, direction="default")
             assert "ACKNOWLEDGE" not in cell.wsg.counters.commands
             return await _home(cell.settings, acknowledge=True, direction="outward")

@@ -56,7 +56,7 @@ class Moves(DryArm):
 def fetched(fingers, tmp_path):
     """The width of the fingers in each move of the first way to the fixture."""
     widths = []
-    errands = Errands(lambda: Moves(fingers, widths), lambda: fingers, REAL.limits, REAL.ramps, 3.0)
+    errands = Errands(lambda: Moves(fingers, widths), lambda: fingers, REAL.limits, REAL.ramps, 3.0, 35.0)
     settings = SimpleNamespace(cycle=REAL.cycle, errands=errands, make_gripper=lambda: fingers)
 
     async def story():

@@ -158,7 +158,7 @@ def test_a_plan_takes_what_the_message_to_the_service_takes(name):
         (Pace, "press_mm", (0.6, 3.0), (0.59, 3.01)),
         (Pace, "fast_mm_s", (0.01, None), (0.0,)),
         (Limits, "max_attempts", (1, MAX_ATTEMPTS), (0, MAX_ATTEMPTS + 1)),
-        (Limits, "max_tilt_deg", (0.01,), (0.0,)),
+        (Limits, "max_tilt_deg", (0.01, 5.0), (0.0, 5.01)),
         (Plan, "creep_allowance_mm", (0.0, 50.0), (-0.1, 50.1)),
         (Plan, "pause_s", (0.0, PAUSE_S), (-0.1, PAUSE_S + 0.01)),
         (Plan, "object", ("x" * 128,), ("x" * 129,)),

@@ -164,6 +164,9 @@ class Watch:
         if command.motion == "descend":
             assert before.phase is Phase.ARMING
             assert command.target == state.armed.at_height(state.armed.z_mm - 25.0)
+        elif command.motion == "retract" and before.phase is Phase.GRASPING:
+            assert before.pose.z_mm < command.target.z_mm
+            assert command.target == before.pose.at_height(command.target.z_mm), "straight up, from wherever it began"
         elif command.motion == "retract":
             assert before.phase is Phase.DECIDING
             assert command.target == before.armed, "only along the recorded vertical"

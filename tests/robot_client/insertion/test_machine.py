@@ -137,6 +137,19 @@ def test_the_approach_goes_up_over_and_down():
     state, commands = run([Begin(at_s=0.0, pose=low, held=True), service(hello()), Grasped(at_s=0.0, width_mm=50.0)])
     path = [commands[-1].target, *state.path]
     assert path == [low.at_height(35.0), APPROACH, APPROACH]
+    _, onwards = step(state, at(low.at_height(35.0)))
+    assert [commands[-1].motion, onwards[-1].motion] == ["retract", "travel"], "slowly from between the blocks"
+
+
+@pytest.mark.parametrize(("held", "lifted_mm"), [(False, 85.0), (True, 45.0)])
+def test_an_object_is_lifted_out_of_its_fixture_before_it_goes_over(held, lifted_mm):
+    pick = WorkPose(x_mm=-20.0, y_mm=5.0, z_mm=45.0, yaw_deg=0.0)
+    plan = PLAN.model_copy(update={"over_mm": 85.0})
+    learnt = [] if held else [service(wire.OpenLearnt(insertion_id=ID))]
+    begun = [Begin(at_s=0.0, pose=pick, held=held), service(hello()), *learnt, Grasped(at_s=0.0, width_mm=50.0)]
+    state, commands = run(begun, State(plan))
+    path = [commands[-1].target, *state.path]
+    assert path == [pick.at_height(lifted_mm), APPROACH.at_height(lifted_mm), APPROACH]
 
 
 @pytest.mark.parametrize("repeat", [1, 2, 5])

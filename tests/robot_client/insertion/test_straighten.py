@@ -127,8 +127,10 @@ def test_a_late_request_changes_nothing():
     assert run([straighten(1)], state) == (state, [])
 
 
-def test_only_a_client_whose_signs_are_known_says_that_it_may_tilt():
-    for plan, most_deg in ((PLAN, 0.0), (SIGNED, 1.5)):
+def test_a_client_says_how_far_it_may_tilt_if_its_signs_are_known_and_as_its_limits_allow():
+    narrow = SIGNED.model_copy(update={"limits": Limits(max_tilt_deg=1.0)})
+    tight = SIGNED.model_copy(update={"limits": Limits(max_tilt_deg=0.3)})
+    for plan, most_deg in ((PLAN, 0.0), (SIGNED, 1.5), (narrow, 0.5), (tight, 0.0)):
         _, commands = run(TO_ARMING, State(plan))
         assert [hello.most_tilt_deg for hello in sent(commands, wire.ClientHello)] == [most_deg]
 

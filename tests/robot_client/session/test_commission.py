@@ -54,6 +54,12 @@ def test_a_probe_goes_straight_up_after_whatever_was_decided_and_ends_there(answ
     assert commands[-1].message.cause == "probed"
 
 
+def test_a_probe_is_decided_where_a_single_attempt_is_allowed():
+    plan = PROBE.plan.model_copy(update={"limits": PLAN.limits.model_copy(update={"max_attempts": 1})})
+    state, _ = run([*TO_DECISION, service(correction(1)), at(APPROACH)], State(plan))
+    assert state.phase is Phase.PROBED
+
+
 def test_a_probe_that_goes_in_comes_up_again_and_claims_nothing():
     bottom = APPROACH.at_height(APPROACH.z_mm - PLAN.expected_depth_mm)
     state, commands = run([*TO_DESCENT, at(bottom), at(bottom, Standstill), at(APPROACH)], PROBE)
@@ -214,7 +220,7 @@ def test_a_real_cell_inserts_only_with_the_record_of_its_commissioning(tmp_path)
     def asked(settings):
         return with_commissioning(settings, PLAN, asked=True)
 
-    for settings, says in ((Settings(), "--uncommissioned"), (real, "not commissioned to the end")):
+    for settings, says in ((Settings(), "--uncommissioned"), (real, "no such file")):
         with pytest.raises(ContractError, match=says):
             asked(settings)
     record = Record(begun="today", seed=1, signs=tuple(answers()), gels={"left": "a", "right": "b"})
@@ -240,6 +246,15 @@ def test_a_file_that_is_no_record_is_refused_by_name(tmp_path, text):
     with pytest.raises(ContractError, match="no record of a commissioning"):
         read_record(path)
     keep_record(path, Record(begun="today", seed=1))
+    assert read_record(path).seed == 1
+
+
+def test_a_full_disk_leaves_the_record_of_the_probe_before(tmp_path):
+    path = tmp_path / "record.json"
+    keep_record(path, Record(begun="today", seed=1))
+    path.with_suffix(".tmp").symlink_to("/dev/full")
+    with pytest.raises(ContractError, match="No space left on device; the last probe is not in it"):
+        keep_record(path, Record(begun="today", seed=2))
     assert read_record(path).seed == 1
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from robot_client.insertion.geometry import WorkPose
+from robot_client.ports import DriverError
 from robot_client.session.cycle import Cycle, CycleSettings
 from robot_client.session.handshake import Handshake, HandshakeSettings
 
@@ -53,3 +54,34 @@ def test_no_part_is_picked_after_an_order_that_came_together_with_the_plcs_start
 
     asyncio.run(story())
     assert went == []
+
+
+class LostController(Signals):
+    """Signals of a controller that answers no more once it is lost."""
+
+    lost = False
+
+    async def write_signal(self, _name, *, on):  # noqa: ARG002 the port's signature
+        if self.lost:
+            raise DriverError("POST /rw/iosystem/signals: ConnectError")
+
+
+def test_a_controller_that_answers_no_more_does_not_hide_why_the_cycle_ended():
+    lines = []
+
+    async def story():
+        async def is_empty(_work):
+            return True
+
+        async def insert(_number):
+            signals.lost = True
+            raise DriverError("arm: silent: no new datagram for 300 ms")
+
+        errands = SimpleNamespace(go=lambda _way: asyncio.sleep(0), with_gripper=is_empty, clear_mm=35.0)
+        signals = LostController(lambda: None)
+        cycle = Cycle(TAUGHT, errands, insert, lines.append, plc=Handshake(HandshakeSettings(), signals))
+        await cycle.run(None)
+
+    with pytest.raises(DriverError, match="arm: silent"):
+        asyncio.run(story())
+    assert lines[-1].startswith("the PLC may not know of the fault: POST")

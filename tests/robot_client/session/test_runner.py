@@ -94,7 +94,7 @@ def test_an_interrupt_while_a_step_closes_by_itself_keeps_the_next_step_from_beg
         arm.start = lambda _post: asyncio.sleep(0, PLAN.approach)
         steps = {
             "insertion": run.run,
-            "way": lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0).go(lambda _here: []),
+            "way": lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: []),
         }
         task = asyncio.ensure_future(steps[moving]())
         await asyncio.sleep(0.05)
@@ -138,7 +138,7 @@ def test_an_interrupt_in_the_moment_in_which_a_step_ends_is_not_lost(moving):
         corners = [(PLAN.approach, "travel"), (PLAN.approach.at_height(50.0), "travel")]
         steps = {
             "insertion": run.run,
-            "way": lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0).go(lambda _here: corners),
+            "way": lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: corners),
         }
         task = asyncio.ensure_future(steps[moving]())
         ended = Failure(at_s=0.0, source="service", code="link", detail="gone")
@@ -175,7 +175,7 @@ def test_an_interrupt_in_the_moment_in_which_the_arm_is_ready_moves_nothing(movi
         corners = [(PLAN.approach, "travel")]
         steps = {
             "insertion": run.run,
-            "way": lambda: Errands(lambda: run.arm, None, PLAN.limits, PLAN.ramps, 1.0).go(lambda _here: corners),
+            "way": lambda: Errands(lambda: run.arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: corners),
         }
         task = asyncio.ensure_future(steps[moving]())
         (ended,) = await asyncio.wait_for(asyncio.gather(task, return_exceptions=True), 2.0)

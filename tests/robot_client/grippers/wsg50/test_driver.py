@@ -96,6 +96,33 @@ def test_an_open_hand_closes_with_the_force_asked_for_and_is_watched():
     assert cell.asked == ["SYSTEM_LIMITS", "SET_FORCE_LIMIT", "GRASP", "DISCONNECT"]
 
 
+@pytest.mark.parametrize("holding", [True, False])
+def test_fingers_that_close_further_on_what_they_hold_are_reported(holding):
+    async def work(cell):
+        await cell.started()
+        cell.driver.grasp()
+        await cell.until(Grasped)
+        cell.mechanism.width_mm = 48.0
+        while (width := await cell.until(Width)).width_mm > 48.0:
+            pass
+        return width.width_mm
+
+    assert story(work, holding=holding) == 48.0
+
+
+def test_an_empty_place_is_named_as_such():
+    async def work(cell):
+        await cell.started()
+        cell.driver.grasp()
+        return await cell.until(Failure)
+
+    failure = story(work, present=False, holding=False, grasp_width_mm=48.0)
+    assert (failure.code, failure.detail) == (
+        "grasp",
+        "gripper: closed to grasp_width_mm = 48 on nothing; is the object between the fingers?",
+    )
+
+
 def test_what_is_held_is_let_go_of_by_a_release_and_open_fingers_move():
     async def work(cell):
         await cell.driver.connect()
@@ -125,7 +152,7 @@ def test_each_width_that_differs_by_a_tenth_is_reported():
 def test_closing_finds_nothing_only_where_nothing_is(present, empty):
     async def work(cell):
         await cell.started()
-        return await cell.driver.finds_nothing(), cell.driver.state
+        return await cell.driver.finds_nothing(), cell.mechanism.state
 
     nothing, state = story(work, present=present, holding=False, grasp_width_mm=48.0)
     assert (nothing, state) == (empty, GraspingState.NO_PART if empty else GraspingState.HOLDING)
@@ -193,11 +220,19 @@ def test_a_latched_fault_is_named_and_only_the_operator_clears_it():
         cell.mechanism.fast_stop()
         with pytest.raises(GripperError, match="fault FAST_STOP; find the cause"):
             await cell.started()
-        with pytest.raises(GripperError, match="nothing is opened"):
-            await cell.driver.release(55.0)
+        orders = {
+            "open": lambda driver: driver.release(55.0),
+            "close": lambda driver: driver.finds_nothing(),
+            "home": lambda driver: driver.home("default"),
+        }
+        for order in orders.values():
+            with pytest.raises(GripperError, match="fault FAST_STOP; find the cause"):
+                await order(cell.driver)
         await cell.anew()
         (fault, *_) = await cell.driver.checks()["gripper"]()
         await cell.driver.acknowledge()
+        with pytest.raises(GripperError, match="holds a part; homing would drop it"):
+            await cell.driver.home("default")
         await cell.anew()
         await cell.started()
         return fault

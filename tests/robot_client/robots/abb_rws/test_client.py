@@ -170,6 +170,7 @@ def test_a_controller_that_does_not_follow_an_order_is_given_up_once_its_time_is
     reason = asked(RwsClient.start_program, state, **timeouts)
     assert reason.startswith(f"{key} is ")
     assert "after 0.05 s, expected" in reason
+    assert ("is the program pointer at main?" in reason) == (key == "ctrlexecstate")
     assert time.monotonic() - begun_s >= 0.05
 
 

@@ -1,0 +1,87 @@
+"""Ways outside an insertion: out of the blocks and into a fixture the arm moves along the vertical only."""
+
+import asyncio
+import itertools
+import math
+from dataclasses import replace
+
+import pytest
+
+from robot_client.grippers.dry_run.driver import DryGripper
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.limits import LimitError, Limits
+from robot_client.insertion.motion import Ramp
+from robot_client.robots.dry_run.driver import DryArm
+from robot_client.robots.dry_run.driver import Settings as DryRun
+from robot_client.session.afresh import Fixture
+from robot_client.session.cycle import Cycle, CycleSettings
+from robot_client.settings import Settings
+from simulation.cell.emulators.abb.motion import Pose, tool_down
+from tests.robot_client.live_cell import bench
+
+LOW = WorkPose(x_mm=-20.0, y_mm=5.0, z_mm=10.0, yaw_deg=0.0)
+TAUGHT = CycleSettings(pick=LOW, open_mm=80.0, retreat_mm=8.0)
+BETWEEN_THE_BLOCKS = WorkPose(x_mm=0.0, y_mm=0.0, z_mm=12.0, yaw_deg=3.0)
+
+
+def errands_of(way, start, **changed):
+    """Errands of a rehearsed arm that stands at ``start`` and notes its targets in ``way``."""
+    settings = Settings()
+
+    def make_arm():
+        return DryArm(settings.limits, settings.ramps, DryRun(start=start), on_target=way.append)
+
+    return replace(settings.errands, make_arm=make_arm, make_gripper=DryGripper, **changed)
+
+
+def heights_aside(way):
+    """Where the arm moves sideways."""
+    return [b.z_mm for a, b in itertools.pairwise(way) if math.hypot(b.x_mm - a.x_mm, b.y_mm - a.y_mm) > 1e-9]
+
+
+@pytest.mark.parametrize("errand", ["cycle", "regrasp"])
+def test_out_of_the_blocks_it_goes_up_to_the_approach_first_however_low_the_fixture_is(errand):
+    way = []
+    errands = errands_of(way, BETWEEN_THE_BLOCKS)
+    if errand == "cycle":
+        asyncio.run(errands.go(Cycle(TAUGHT, errands, None, print)._over_to(LOW)))
+    else:
+        asyncio.run(Fixture(LOW, TAUGHT.open_mm, TAUGHT.retreat_mm, errands).put_back())
+    assert min(heights_aside(way)) == Settings().task.approach_z_mm
+    assert way[-1] == LOW
+
+
+def test_it_comes_to_a_fixture_from_above():
+    way = []
+    pick = LOW.at_height(45.0)
+    errands = errands_of(way, BETWEEN_THE_BLOCKS)
+    asyncio.run(errands.go(Cycle(TAUGHT, errands, None, print)._over_to(pick)))
+    assert min(heights_aside(way)) == 45.0 + TAUGHT.retreat_mm
+
+
+def test_a_ramp_beyond_the_limits_moves_nothing():
+    way = []
+    fast = Ramp(speed_mm_s=100.0, acceleration_mm_s2=300.0, jerk_mm_s3=5000.0)
+    errands = errands_of(way, BETWEEN_THE_BLOCKS, ramps=Settings().ramps.model_copy(update={"travel": fast}))
+    with pytest.raises(LimitError, match=r"ramps.travel.speed_mm_s = 100"):
+        asyncio.run(errands.go(lambda here: [(here.at_height(60.0), "travel")]))
+    assert way == []
+
+
+@pytest.mark.parametrize("device", ["abb_egm", "abb_rapid"])
+def test_an_arm_beyond_half_a_turn_is_read_within_the_box_and_turns_no_further(device):
+    async def story():
+        async with bench(device=device, overrides={"limits": {"yaw_deg": [135.0, 225.0]}}) as cell:
+            cell.cabinet.arm.pose = Pose((5.0, 0.0, 40.0), tool_down(190.0))
+            cell.cabinet.arm.hold()
+            await cell.settings.errands.go(lambda here: [(here.at_height(41.0)._with(yaw_deg=192.0), "travel")])
+            return [pose.yaw_deg % 360.0 for _, _, pose in cell.trace]
+
+    yaws_deg = asyncio.run(asyncio.wait_for(story(), 60.0))
+    assert min(yaws_deg) > 189.9
+    assert max(yaws_deg) < 192.1
+
+
+def test_a_box_of_more_than_a_turn_is_refused():
+    with pytest.raises(ValueError, match="from -190 to 190 is more than a whole turn"):
+        Limits(yaw_deg=(-190.0, 190.0))
