@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from reporting.files import write_durably
-from robot_client.insertion.state import State
+from robot_client.insertion.state import REFUSED, State
+from robot_client.session.commission.run import GRASPS_N
 from service.decision.attempt import Attempt
 from service.decision.work import read_by_depth
 from simulation.closed_loop.client import trip_s
 from simulation.closed_loop.job import Job, Outcome
-from simulation.closed_loop.play import models_of, stage
+from simulation.closed_loop.play import Insertion, models_of, stage
 from simulation.closed_loop.statistics import Row
 from simulation.scene.state import PhysicsError
 
@@ -44,16 +45,27 @@ def play(episode: Episode) -> Row:
     job, attempts, robot_s = Job(**episode.job), list[Attempt](), 0.0
     try:
         insertion = stage(job, models_of(episode.models))
-        plan = insertion.state.plan
-        insertion.state = State(plan.model_copy(update={"until_slip": episode.until_slip}))
+        plan = insertion.state.plan.model_copy(update={"until_slip": episode.until_slip})
+        insertion.state = State(plan)
         insertion.session.on_attempt = attempts.append
         outcome = insertion.run()
+        while plan.only_probes and hangs_askew(insertion):
+            attempts.clear()
+            insertion.take_afresh(plan)
+            insertion.begin_again(plan)
+            insertion.session.on_attempt = attempts.append
+            outcome = insertion.run()
         robot_s = insertion.seconds.total_s + trip_s(plan)
     except PhysicsError as error:  # the object cannot even be held
         outcome = Outcome.never_began(job, f"physics: {error.reason}: {error}", void=True)
     row = {**episode.job, **asdict(outcome), "robot_s": robot_s}
     _keep(episode, job, attempts, row)
     return row
+
+
+def hangs_askew(insertion: Insertion) -> bool:
+    """Whether a probe was refused for that and is repeated in a new grasp, as the client does."""
+    return insertion.state.reason.startswith(REFUSED) and insertion.grasps < GRASPS_N
 
 
 def _plain(job: Mapping[str, Any]) -> Row:

@@ -8,18 +8,19 @@ from typing import Any
 import numpy as np
 
 from robot_client.insertion.limits import LimitError
-from robot_client.insertion.state import REFUSED, Phase
+from robot_client.insertion.state import Phase, Plan
 from robot_client.session.commission.lateness import PLACE, Press, late_s, next_is_fast, slow_and_fast
 from robot_client.session.stops import StopWatch
 from simulation.closed_loop.client import trip_s
 from simulation.closed_loop.job import Job, job_in
-from simulation.closed_loop.play import models_of, stage
+from simulation.closed_loop.play import Insertion, models_of, stage
 from simulation.closed_loop.statistics import Row
 from simulation.data.parallel import results
 from simulation.data.progress import progress
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.state import PhysicsError
 from simulation.scene.worlds import World
+from simulation.studies.episodes import hangs_askew
 from simulation.studies.wiring import by_corner
 
 
@@ -38,22 +39,27 @@ def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
         plans = slow_and_fast(insertion.state.plan, insertion.cell.scene.fps)
     except (PhysicsError, LimitError):
         return row
-    series, afresh = list[Press](), False
+    series = list[Press]()
     while (fast := next_is_fast(series)) is not None:
-        watch, plan = StopWatch(), plans[fast and not afresh]
-        insertion.watches = watch.on_event
-        insertion.begin_again(plan)
-        insertion.run()
-        if insertion.state.reason.startswith(REFUSED) and series and not afresh:
-            insertion.take_afresh(plan)
-            afresh = True
-            continue
+        afresh, insertion.grasps = not series, 1
+        watch = _pressed(insertion, plans[fast])
+        while hangs_askew(insertion):
+            afresh, fast = True, False
+            insertion.take_afresh(plans[fast])
+            watch = _pressed(insertion, plans[fast])
         if failed := insertion.state.phase is not Phase.PROBED:
             break
-        series.append(Press(fast=fast and not afresh, stop=watch.stop, afresh=afresh))
-        afresh = False
+        series.append(Press(fast=fast, stop=watch.stop, afresh=afresh))
     known_s = None if failed else late_s(series)
     return row | {"late_s": known_s, "robot_s": insertion.seconds.total_s + trip_s(plans[0])}
+
+
+def _pressed(insertion: Insertion, plan: Plan) -> StopWatch:
+    watch = StopWatch()
+    insertion.watches = watch.on_event
+    insertion.begin_again(plan)
+    insertion.run()
+    return watch
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ SLIDES_MM = 0.3  # an object that a slow press pushes up by more slides: its mot
 class Press(Contract):
     """A press of the series; ``stop`` is None if it did not end because of what was pressed.
 
-    ``afresh``: the object has been regrasped before it, because it had turned in the hand.
+    ``afresh``: the first in a new grasp.
     """
 
     fast: bool

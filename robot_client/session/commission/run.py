@@ -10,6 +10,7 @@ import random
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +29,8 @@ REACH = (15.0, 15.0)
 """Largest errors of probes to learn from: the training range of the released networks."""
 FITS = (2.5, 3.0)
 """Approximate errors that insert: no probe begins there."""
+GRASPS_N = 3
+"""Most grasps for a probe: in some the object hangs too far askew to be pressed."""
 
 
 class Ended(NamedTuple):
@@ -107,26 +110,22 @@ class Commissioning:
 
         All are in one grasp, unless the object turns in the hand meanwhile: then it is regrasped.
         """
-        await self.fetch()
-        series, afresh, why = list[Press](), False, ""
+        series, why = list[Press](), ""
         while (fast := next_is_fast(series)) is not None:
-            fast &= not afresh
-            title = f"{'fast' if fast else 'slow'} press {len(series) + 1}"
             try:
-                ended = await press_at(*PLACE, fast)
+                ended = await press_at(*PLACE, fast) if series else None
+                if afresh := ended is None or ended.reason.startswith(REFUSED):
+                    fast = False
+                    ended = await self._in_new_grasp(partial(press_at, *PLACE, fast))
             except LimitError as error:
                 why = f" ({error})"
                 break
-            if ended.reason.startswith(REFUSED) and series and not afresh:
-                self.show(f"{title}: the object has turned in the hand and is regrasped")
-                await self.fetch()
-                afresh = True
-                continue
+            assert ended is not None
+            title = f"{'fast' if fast else 'slow'} press {len(series) + 1}"
             stop = self._checked(title, ended).stop
             at = f"stopped at {stop.depth_mm:.2f} mm" if stop else "not stopped by what was pressed, or it paused"
             self.show(f"{title}: {at}")
             series.append(Press(fast=fast, stop=stop, afresh=afresh))
-            afresh = False
         if late_s(series) is None:
             self.show(f"HOW LATE pictures and arm are IS NOT KNOWN{why}: see lease.stop_lag_s")
             return ()
@@ -135,13 +134,25 @@ class Commissioning:
     async def _probe(
         self, title: str, x_mm: float, theta_deg: float, how: Callable[[float, float], Awaitable[Ended]] | None = None
     ) -> Probe:
-        await self.fetch()  # each time: it drifts in the hand, and open gels are learnt before a grasp
-        done = self._checked(title, await (how or self.probe)(x_mm, theta_deg)).probe
+        done = self._checked(title, await self._in_new_grasp(partial(how or self.probe, x_mm, theta_deg))).probe
         felt = done.said
         if done.estimate_x_mm is not None and done.estimate_theta_deg is not None:
             felt = f"felt {done.estimate_x_mm:+.1f} mm, {done.estimate_theta_deg:+.1f} deg"
         self.show(f"{title}: {x_mm:+.1f} mm, {theta_deg:+.1f} deg; {felt}")
         return done
+
+    async def _in_new_grasp(self, probe: Callable[[], Awaitable[Ended]]) -> Ended:
+        """Regrasp and probe; once more where the object then hangs too far askew in the hand.
+
+        Each probe has its own grasp: the object drifts in the hand, and open gels are learnt before a grasp.
+        """
+        for _ in range(GRASPS_N):
+            await self.fetch()
+            ended = await probe()
+            if not ended.reason.startswith(REFUSED):
+                break
+            self.show(f"not pressed in this grasp: {ended.reason}")
+        return ended
 
     def _checked(self, title: str, ended: Ended) -> Ended:
         """The same, if the probe was carried out on the gels of the ones before; raises DriverError."""

@@ -14,7 +14,7 @@ from robot_client.cli.insert import with_commissioning
 from robot_client.insertion.events import Move, Send, Standstill
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.lease import Lease
-from robot_client.insertion.state import Phase, State
+from robot_client.insertion.state import REFUSED, Phase, State
 from robot_client.ports import DriverError
 from robot_client.session.commission import run as commission_run
 from robot_client.session.commission.record import Record, keep_record, read_record
@@ -116,6 +116,28 @@ def test_it_goes_on_where_it_was_broken_off_and_loses_the_probe_under_way(tmp_pa
     assert (len(record.signs), len(record.probes), record.labelled_n) == (4, 6, 10)
     assert broken.probed[:7] + broken.probed[8:] == whole.probed
     assert whole.fetched_n == len(whole.probed)
+
+
+def test_a_probe_whose_object_hangs_askew_is_repeated_in_a_new_grasp(tmp_path):
+    class Askew(Cell):
+        """The fixture hands the object over askew, at first."""
+
+        async def probe(self, x_mm, theta_deg):
+            ended = await super().probe(x_mm, theta_deg)
+            if len(self.probed) not in askew:
+                return ended
+            return ended._replace(phase=Phase.FAILED, reason=f"{REFUSED} it hangs turned by 0.6 deg")
+
+    askew, cell, shown = {2, 6, 7}, Askew(), []
+    running = commissioning(cell, tmp_path / "record.json")
+    running.show = shown.append
+    record = asyncio.run(running.run(6))
+    assert (record.labelled_n, len(cell.probed), cell.fetched_n) == (6, 9, 9)
+    assert cell.probed[1] == cell.probed[2], "the same error again"
+    assert sum("not pressed in this grasp" in line and "0.6 deg" in line for line in shown) == 3
+    askew = {1, 2, 3}
+    with pytest.raises(DriverError, match="sign 1 of 4: service: refused: turned_in_hand"):
+        asyncio.run(commissioning(Askew(), tmp_path / "another.json").run(6))
 
 
 def test_presses_come_after_the_signs_once_and_older_records_keep_their_digest(tmp_path):

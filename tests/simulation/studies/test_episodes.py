@@ -1,0 +1,30 @@
+"""Probes in lock step that are stored as a cell's are."""
+
+from service.contract.shipped import released_models
+from simulation.closed_loop.job import job_in
+from simulation.scene import drawn
+from simulation.studies.episodes import Episode, play
+from simulation.studies.pace.points import client, with_care
+
+HEXAGON = """
+[object]
+shape = "hexagon"
+size_x_mm = 30.2
+size_y_mm = 30.2
+mass_kg = 0.111
+"""
+
+
+def test_a_probe_whose_object_hangs_askew_is_repeated_in_a_new_grasp_and_only_that_is_kept(tmp_path):
+    """In this grasp the fixture handed it over so far askew that the service refuses to press it."""
+    tables = drawn.draw_worlds(12, 105)[4]
+    tables["gel"]["tier"] = "bristle"
+    world = drawn.world(tables, "soft gel")
+    hexagon = tmp_path / "hexagon.toml"
+    hexagon.write_text(HEXAGON)
+    given = with_care(client(), world, str(hexagon))
+    job = job_in(world, str(hexagon), 3, (1.2, -6.94), 3844133872, client=given, purpose="probe")
+    row = play(Episode(tmp_path / "probe", released_models(), job))
+    assert (row["reason"], row["grasps"], row["attempts"]) == ("", 2, 1)
+    assert row["robot_s"] > 25.0, "twice to the fixture"
+    assert [path.name for path in tmp_path.glob("probe/*.npz")] == ["attempt_01.npz"]
