@@ -201,6 +201,7 @@ def _identify(options: Identify) -> None:
     fitted = posterior.load(options.posterior)
     grip_n, intervals = study.identified(options.recordings, load_scene(options.object), fitted)
     comment = f"Identified from {options.recordings.name}, held: {options.object}, at {grip_n:g} N."
+    options.out.parent.mkdir(parents=True, exist_ok=True)
     write_durably(options.out, study.world_file(grip_n, intervals, comment).encode())
     write_json(options.out.with_suffix(".json"), study.as_json(grip_n, intervals, fitted))
     for one in intervals:
