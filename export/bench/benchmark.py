@@ -33,8 +33,10 @@ def benchmark(
     """Measure every file, write ``benchmark`` .md and .json into ``docs``; returns the report.
 
     ``int8``: folder of both released fp32 step models, which are also built in int8 and compared on ``decisions``.
-    ``alexnet``: folder of the paper's networks. Raises ContractError on a bad file.
+    ``alexnet``: folder of the paper's networks. Raises ContractError on a bad file, or without any.
     """
+    if not files:
+        raise ContractError("no network to measure: expected ONNX files, or the folder models/ here")
     models = [open_model(file) for file in files]
     report: Row = {"cpu": cpu_name(), "commit": commit(), "models": []}
     print(f"{report['cpu']}, one thread")
@@ -63,9 +65,12 @@ def measure(model: Model, seconds: float) -> Row:
 def precisions(folder: Path, out: Path, decisions: Sequence[Decision], seconds: float) -> list[Row]:
     """One row per storage format of the weights: all step models of a folder together, as in the service.
 
-    A refused build has its reason instead of figures.
+    A refused build has its reason instead of figures. Raises ContractError for networks that read steps of depth, which
+    no decision here holds.
     """
     sources = [open_model(file) for file in sorted(folder.glob("*.step.onnx"))]
+    if not sources or any(model.card.pressing for model in sources):
+        raise ContractError(f"--int8 {folder}: expected step networks that read pictures or markers")
     sets, refused = {"fp32": sources}, {}
     for mode in MODES:
         try:

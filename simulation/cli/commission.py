@@ -48,7 +48,7 @@ class Options:
     cell: Literal["own", "foreign"] = "own"
     """mechanics: the project's own, or finite elements that it was not built on"""
     mistakes: bool = False
-    """also run each world's wiring check with each mistake of a first day"""
+    """also run each good world's wiring check with each mistake of a first day"""
     probes: int = 150
     """probes of known error in each world, the four of the wiring check included; 0: only those"""
     around: int = 300
@@ -84,8 +84,9 @@ def main(arguments: list[str]) -> int:
     made_by = campaign.made_by({"belief": models})
     worlds = [load_world(file) for file in files_in(options.worlds)]
     cells = [(_cell(options, world, made_by), plan) for world in worlds]
+    good = [world for world in worlds if world.unstated.wired_right]
     if options.mistakes:
-        wrong = [one for world in worlds for one in mistaken(world)]
+        wrong = [one for world in good for one in mistaken(world)]
         cells += [(_cell(options, world, made_by), replace(plan, probes=0)) for world in wrong]
     rows = []
     for cell, its_plan in cells:
@@ -93,7 +94,7 @@ def main(arguments: list[str]) -> int:
         write_json(options.json, rows)
         print(json.dumps(rows[-1]))
     if options.docs:
-        late = lateness(worlds, load_objects(options.objects), options.seed, models, options.workers)
+        late = lateness(good, load_objects(options.objects), options.seed, models, options.workers)
         data = {"simulated": True, "note": "", "rows": rows, "late": late}
         publish(options.docs, "commissioning", commissioning_page(data), data)
     return 0
@@ -201,6 +202,7 @@ def _identify(options: Identify) -> None:
     fitted = posterior.load(options.posterior)
     grip_n, intervals = study.identified(options.recordings, load_scene(options.object), fitted)
     comment = f"Identified from {options.recordings.name}, held: {options.object}, at {grip_n:g} N."
+    options.out.parent.mkdir(parents=True, exist_ok=True)
     write_durably(options.out, study.world_file(grip_n, intervals, comment).encode())
     write_json(options.out.with_suffix(".json"), study.as_json(grip_n, intervals, fitted))
     for one in intervals:

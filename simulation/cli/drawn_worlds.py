@@ -87,6 +87,8 @@ def _variants(options: Options) -> list[Variant]:
 
 def drawn_worlds_of(count: int, seed: int, layer_share: float) -> list[World]:
     """``count`` drawn worlds; those of the finer tier are spread evenly, so that an interrupted run is balanced."""
+    if count < 1:
+        raise ValueError(f"--drawn-n {count}: expected at least 1")
     worlds = []
     for number, tables in enumerate(drawn.draw_worlds(count, seed)):
         is_layer = int((number + 1) * layer_share) > int(number * layer_share)

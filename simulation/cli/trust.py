@@ -34,7 +34,7 @@ class Options(PlayOptions):
     worlds: tuple[Path, ...] = ()
     """TOML files of worlds, or folders of them, in addition to the drawn ones"""
     drawn_n: int = 200
-    """number of worlds drawn by Latin hypercube"""
+    """number of worlds drawn by Latin hypercube; 0 plays only WORLDS"""
     layer_share: float = 0.02
     """share of the drawn worlds played in the finer tier, which is slower"""
     seed: int = 1
@@ -46,7 +46,8 @@ def main(arguments: list[str]) -> int:
     options = tyro.cli(Options, args=arguments, prog="tactile-insertion trust")
     options.check()
     worlds = [load_world(path) for path in files_in(options.worlds)]
-    worlds += drawn_worlds_of(options.drawn_n, options.seed, options.layer_share)
+    if options.drawn_n or not worlds:
+        worlds += drawn_worlds_of(options.drawn_n, options.seed, options.layer_share)
     setup = fingerprint({"belief": options.models})
     objects, path = load_objects(options.objects), options.out / "lateness.json"
     timed = [asdict(world) | {"unstated": world.unstated.model_dump(mode="json")} for world in worlds]

@@ -17,6 +17,7 @@ from simulation.scene import shapes
 from simulation.scene.parts import HELD, Blocks, Camera, Effects, Figures, Gel, Grasp, HeldObject, Numerics, Part
 
 APPROACH_MM = 5.0  # start of a descent above the block tops
+BEYOND_MM = 5.0  # a full descent goes deeper than an object must be to count as inserted
 TOPS_LEVEL_MM = 0.2  # as a client knows the blocks, which are level
 OF_NO_CELL: dict[str, Any] = {"training": True, "order": True, "paper": True, "camera": {"sensor": {"name"}}}
 """Keys of a scene that do not affect its cell."""
@@ -90,6 +91,8 @@ class Scene(Part):
         body = self.object
         if self.blocks.gap_mm <= body.size_x_mm:
             raise ValueError(f"blocks.gap_mm: {self.blocks.gap_mm} must exceed object.size_x_mm {body.size_x_mm}")
+        if self.blocks.insertion_depth_mm > (most_mm := self.blocks.height_mm - BEYOND_MM):
+            raise ValueError(f"blocks.insertion_depth_mm: must be at most {most_mm:g}, or the table is in the way")
         if body.corner_radius_mm > 0.5 * (least := min(body.size_x_mm, body.size_y_mm)):
             raise ValueError(f"object.corner_radius_mm: must be 0 to {0.5 * least:g}, half of the smaller size")
         if body.held_corner_radius_mm > 0.5 * (body.held_size_x_mm or body.size_x_mm):
@@ -119,7 +122,7 @@ class Scene(Part):
     @property
     def full_depth_mm(self) -> float:
         """Depth of a descent that inserts: from the approach into the gap, and clearly beyond the required depth."""
-        return APPROACH_MM + self.blocks.insertion_depth_mm + 5.0
+        return APPROACH_MM + self.blocks.insertion_depth_mm + BEYOND_MM
 
     @property
     def fps(self) -> float:

@@ -126,11 +126,13 @@ class Plan:
 def commission(cell: Cell, plan: Plan) -> Row:
     """Probe, adapt and work in one cell; returns its row, see ``python -m simulation commission --help``.
 
-    A cell with a mistake stops there: no version is played, and all its counts are 0.
+    A cell with a mistake stops there: no version is played, and all its counts are 0. ``wired_right``: whether it has
+    none in truth.
     """
     signs, folder = _asked_for_signs(cell, plan)
     labelled = [folder / f"{index:05d}" for index in range(len(signs))]
-    row: Row = {"world": cell.world.name, "mistakes_named": named_mistakes(signs), "signs_told": carried_out(signs)}
+    row: Row = {"world": cell.world.name, "wired_right": cell.world.unstated.wired_right}
+    row |= {"mistakes_named": named_mistakes(signs), "signs_told": carried_out(signs)}
     if row["mistakes_named"] or not plan.probes:
         row |= {name: {**dict.fromkeys(COUNTED, 0), **dict.fromkeys(COUNTED[2:7])} for name in VERSIONS}
         return {**row, "robot_minutes": _minutes(signs), "adapt_s": 0.0, "accepted": False, "verdicts": {}}

@@ -56,13 +56,14 @@ MOST_MINUTES, MOST_ADAPT_S, MOST_TRIALS = 40.0, 600.0, 2.6
 
 def commissioning_page(data: Row) -> str:
     """The whole of docs/commissioning.md from commissioning.json."""
-    asked = [row for row in data["rows"] if row["signs_told"]]
+    asked = [row for row in data["rows"] if row["signs_told"] and (_mistake(row) or row.get("wired_right", True))]
     learnt = [row for row in data["rows"] if row["verdicts"] and row["released"]["direction_n"]]
     return page(
         "# The first day of a cell, simulated",
         _conclusion(asked, learnt, data.get("late", ())),
         _MEASURED,
         _signs(asked),
+        _left_out(data["rows"]),
         *_late(data.get("late", ())),
         """
         ## What the cell learns
@@ -105,6 +106,8 @@ def _late(rows: Sequence[Row]) -> tuple[str, ...]:
     if not rows:
         return ()
     off_ms = errors_ms(rows)
+    if not off_ms:
+        return (f"In none of {len(rows)} worlds did presses at two speeds tell how late pictures and arm are.",)
     short_n = sum(off < 0.0 for off in off_ms)
     true_ms = [1e3 * row["true_late_s"] for row in rows]
     return (
@@ -222,6 +225,12 @@ def _signs(asked: Sequence[Row]) -> Table:
         ("any mistake named", lambda pair: _share(pair[1], [bool(row["mistakes_named"]) for row in pair[1]]), ".0%"),
         ("correct cause", lambda pair: _share(pair[1], [_rightly(r) for r in pair[1]]) if pair[0] else "-", ".0%"),
     )
+
+
+def _left_out(rows: Sequence[Row]) -> str:
+    """Worlds that are neither good nor one of these mistakes made in a good one."""
+    own_n = sum(not row.get("wired_right", True) and not _mistake(row) for row in rows)
+    return f"{own_n} worlds whose own file states a mistake are left out." if own_n else ""
 
 
 def _share(rows: Sequence[Row], hits: Sequence[bool]) -> Estimate:

@@ -101,12 +101,15 @@ def _attempts(folder: Path, listed: frozenset[str] | None) -> Iterator[Attempt]:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         shown = {int(path.stem[-2:]): _shown(path) for path in sorted(folder.glob("attempt_*.npz"))}
         moves = _moves(summary, shown)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        errors = _errors(summary, [*moves.values()])
+        if not np.isfinite([off for off in errors if off is not None]).all():
+            raise ValueError("the error of an attempt is not a finite number")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
         raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
     if summary.get("purpose") == "probe" and listed is not None and summary.get("insertion_id") not in listed:
         return
     first = PROBE if summary.get("purpose") == "probe" else LATER if summary.get("continues") else WORK
-    for index, (number, off) in enumerate(zip(moves, _errors(summary, [*moves.values()]), strict=False)):
+    for index, (number, off) in enumerate(zip(moves, errors, strict=False)):
         inputs, _ = shown.get(number, (None, None))
         if off is not None and inputs is not None:
             yield Attempt(LATER if index else first, off, *inputs, folder.name)

@@ -52,6 +52,14 @@ def test_a_missing_model_is_named(tmp_path):
         measure_fresh(tmp_path / "absent.onnx")
 
 
+def test_what_cannot_be_measured_is_refused_by_name(tmp_path):
+    with pytest.raises(ContractError, match="no network to measure"):
+        benchmark([], seconds=0.05, docs=tmp_path)
+    depth = Path("models/pressing")
+    with pytest.raises(ContractError, match="--int8 models/pressing: expected step networks that read pictures or"):
+        benchmark([depth / "pair.step.onnx"], seconds=0.02, docs=tmp_path, int8=depth)
+
+
 def test_the_memory_of_a_fresh_process_is_that_of_its_first_opening():
     """A session takes some ten megabytes whatever its model; opened before, it would find them already taken."""
     assert measure_fresh(Path("models/direction.step.onnx"))["peak_mb"] > 6

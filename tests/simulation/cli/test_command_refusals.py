@@ -23,6 +23,8 @@ REFUSED = [
     ("probe rectangle --x-mm 1e308", "--x-mm 1e+308"),
     ("probe rectangle --seed -1", "--seed -1"),
     ("evaluate --models MODELS --json OUT/rows.json --seed=-1", "--seed -1"),
+    ("drawn-worlds --models MODELS --out OUT --drawn-n 0", "--drawn-n 0"),
+    ("trust --models MODELS --out OUT --drawn-n 0", "--drawn-n 0"),
 ]
 
 

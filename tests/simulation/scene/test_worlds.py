@@ -139,6 +139,7 @@ def test_an_object_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, tex
         ("[world]\ntold_gap_error_mm = -20.0\n", "world.told_gap_error_mm: leaves 4 mm; at least 5"),
         ("[world]\ntold_height_error_mm = -40.0\n", "world.told_height_error_mm: leaves -10 mm; at least 1"),
         ("[gel]\nthickness_mm = 0.3\ncrown_mm = 0.2\n", "gel.crown_mm: must be 0 to 0.15"),
+        ("[blocks]\nheight_mm = 25.0\ninsertion_depth_mm = 21.0\n", "blocks.insertion_depth_mm: must be at most 20,"),
         ("[camera]\nfps = 120\nexposure_ms = 9.0\n", "camera.exposure_ms: 9 is longer than a frame's 8.33333"),
     ],
 )

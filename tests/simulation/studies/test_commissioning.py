@@ -82,6 +82,15 @@ def test_the_page_bears_a_run_that_only_asked_for_signs():
     assert "a bound on them in 2: +25 ms from the truth on average, -10 to +60 ms, and below it in 50 %" in prose
     assert "0 of 1 good cells were accused" in text
     assert "1 of 1 mistakes were named" in text
+    untimed = commissioning_page({"note": "", "rows": rows, "late": late[2:]})
+    assert "In none of 1 worlds did presses at two speeds" in untimed
+
+
+def test_a_world_whose_file_states_a_mistake_is_no_good_cell_that_was_accused():
+    row = {"mistakes_named": ["the fingers are swapped"], "signs_told": True, "verdicts": {}, "wired_right": False}
+    text = commissioning_page({"note": "", "rows": [{"world": "swapped", **row}]})
+    assert "0 of 0 good cells were accused" in text
+    assert "1 worlds whose own file states a mistake are left out." in text
 
 
 def test_an_adapted_network_that_cannot_be_exported_is_refused_and_the_cell_goes_on(tmp_path, monkeypatch):

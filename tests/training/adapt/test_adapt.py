@@ -1,6 +1,7 @@
 """A cell that is off is learnt; noise never makes a surer network."""
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -115,6 +116,17 @@ def test_a_file_that_was_cut_off_is_named(tmp_path):
     keep(tmp_path / "a", [(steps_of(1, 1, np.random.default_rng(0)), {})], "probe", "failed", -7.0, 3.0)
     (path,) = tmp_path.glob("a/attempt_*.npz")
     path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(ContractError, match="a is no recording of an insertion"):
+        read_episodes(tmp_path, Sensor.load())
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [{"approach": None}, {"approach": {"x_mm": math.nan, "yaw_deg": 1.0}}, {"decisions": 5}, {"decisions": [5]}],
+    ids=str,
+)
+def test_a_summary_that_states_no_error_is_named(tmp_path, facts):
+    keep(tmp_path / "a", [(steps_of(1, 1, np.random.default_rng(0)), {})], "probe", "failed", -7.0, 3.0, **facts)
     with pytest.raises(ContractError, match="a is no recording of an insertion"):
         read_episodes(tmp_path, Sensor.load())
 
