@@ -39,11 +39,14 @@ def first_error(error: ValidationError, whole: str = "contents") -> str:
 
 
 class FrameSpec(Contract):
-    """Format of a camera frame or a network input; a colour swap passes every shape check, so it is declared."""
+    """Format of a camera frame or a network input; a colour swap passes every shape check, so its order is declared.
+
+    Nothing here swaps colours: a network that reads another order is refused.
+    """
 
     height_px: int = Field(gt=0, le=MAX_SIDE_PX)
     width_px: int = Field(gt=0, le=MAX_SIDE_PX)
-    colour: Literal["bgr", "rgb"] = "bgr"
+    colour: Literal["bgr"] = "bgr"
     rectified: bool = True
 
     @property

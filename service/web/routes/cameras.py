@@ -57,7 +57,7 @@ def router(station: Station, access: Access) -> APIRouter:
             return
         await socket.accept()
         if station.viewers_n >= MAX_VIEWERS:
-            await socket.close(TRY_AGAIN_LATER, f"{MAX_VIEWERS} viewers are connected")
+            await close(socket, Ending(TRY_AGAIN_LATER, f"{MAX_VIEWERS} viewers are connected"))
             return
         await _show(socket, station, finger, max_hz, form, encoded)
 
@@ -143,10 +143,10 @@ async def _take_in(socket: WebSocket, station: Station, finger: Finger) -> None:
     try:
         source = station.push(finger)
     except ContractError as error:
-        await socket.close(UNSUPPORTED, str(error)[:120])
+        await close(socket, Ending(UNSUPPORTED, str(error)))
         return
     if not source.claim():
-        await socket.close(TRY_AGAIN_LATER, f"another client pushes the {finger} camera")
+        await close(socket, Ending(TRY_AGAIN_LATER, f"another client pushes the {finger} camera"))
         return
     try:
         while True:
@@ -155,8 +155,8 @@ async def _take_in(socket: WebSocket, station: Station, finger: Finger) -> None:
                 raise ContractError(f"a frame of the {frame.finger} finger, expected {finger}")
             source.push(frame)
     except KeyError:
-        await socket.close(UNSUPPORTED, "a text message, expected binary frames")
+        await close(socket, Ending(UNSUPPORTED, "a text message, expected binary frames"))
     except ContractError as error:
-        await socket.close(UNSUPPORTED, str(error)[:120])
+        await close(socket, Ending(UNSUPPORTED, str(error)))
     finally:
         source.release()

@@ -73,6 +73,17 @@ def test_a_graph_that_is_not_what_its_card_says_is_refused(tmp_path: Path) -> No
         load_models(folder)
 
 
+def test_a_network_that_reads_another_order_of_colours_is_refused(tmp_path: Path) -> None:
+    folder = tiny_models.write_models(tmp_path)
+    path = folder / "direction.step.onnx"
+    model = onnx.load(str(path))
+    for entry in model.metadata_props:
+        entry.value = entry.value.replace('"colour":"bgr"', '"colour":"rgb"')
+    onnx.save(model, str(path))
+    with pytest.raises(ContractError, match=r"invalid model card: frame.colour"):
+        load_models(folder)
+
+
 @pytest.mark.parametrize("fault", ["type", "batch"])
 def test_a_graph_that_does_not_run_on_what_its_card_says_is_refused(tmp_path: Path, fault: str) -> None:
     folder = tiny_models.write_models(tmp_path)

@@ -86,6 +86,19 @@ def test_a_camera_of_its_own_takes_no_pushed_frames(live: LiveService) -> None:
     assert "start the service with --camera-left push:" in closed.value.rcvd.reason
 
 
+def test_a_reason_longer_than_a_close_frame_is_cut(tmp_path: Path, models_folder: Path) -> None:
+    clip = tmp_path / ("ü" * 80)
+    clip.mkdir()
+    cameras = {"camera_left": f"file:{clip}", "camera_right": "push:"}
+    places = {"models": models_folder, "recordings": tmp_path / "r", "state": tmp_path / "state"}
+    with served(Settings(**places, **cameras)) as (station, port):
+        url = f"ws://127.0.0.1:{port}/v1/cameras/left/push"
+        with connect(url, additional_headers=bearer(station)) as link, pytest.raises(ConnectionClosed) as closed:
+            link.recv(20)
+    assert closed.value.rcvd.code == 1003
+    assert closed.value.rcvd.reason.startswith("the left camera is ")
+
+
 def test_a_slow_viewer_gets_the_newest_frame_and_skips_the_others(live: LiveService) -> None:
     with connect(live.url("/v1/cameras/right/frames?max_hz=2&form=jpeg", "ws"), compression=None) as out:
         pictures = [out.recv(20) for _ in range(3)]
