@@ -82,7 +82,7 @@ class SocketArm:
     def move(self, target: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
         """Lower the guard's stop flag, then send the move; raises LimitError if it is not allowed."""
         check_leased(motion, until_s)
-        check_pose(self.limits, target)
+        check_pose(self.limits, target, here=self._here)
         if legs:
             raise LimitError("pace.fast_mm_s: over RAPID sockets a descent has one speed; leave it out, or use EGM")
         if self._latched or self._guard is None or self._here is None:
