@@ -25,6 +25,7 @@ REMEDIES: tuple[tuple[str, str], ...] = (
     (r"guardstop|protective", "Close the guard or clear the protective stop."),
     (r"sysfail", "Read the event log on the pendant and restart the controller."),
     (r"controller (motoroff|init)", "Switch the motors on, or allow robot.rws.switch_motors_on."),
+    (r"speed ratio", "Set the speed ratio to 100 % on the pendant, and the speeds in [ramps]."),
     (r"RAPID running", "Stop the program on the pendant."),
     (r"how late pictures", "Commission again with a wider part or a firmer grip, or set lease.stop_lag_s."),
     (r"not homed", "Home the empty gripper: `tactile-insertion home --live`."),

@@ -270,4 +270,5 @@ class SocketArm:
 
 def make(settings: Settings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:
     """The arm with RWS, whose RAPID task restarts itself after a lost connection."""
-    return SocketArm(settings, limits, ramps, frame, RwsClient(settings.rws.model_copy(update={"cycle": "forever"})))
+    rws = settings.rws.model_copy(update={"cycle": "forever"})
+    return SocketArm(settings, limits, ramps, frame, RwsClient(rws, full_speed=True))
