@@ -25,11 +25,12 @@ REMEDIES: tuple[tuple[str, str], ...] = (
     (r"guardstop|protective", "Close the guard or clear the protective stop."),
     (r"sysfail", "Read the event log on the pendant and restart the controller."),
     (r"controller (motoroff|init)", "Switch the motors on, or allow robot.rws.switch_motors_on."),
+    (r"speed ratio", "Set the speed ratio to 100 % on the pendant, and the speeds in [ramps]."),
     (r"RAPID running", "Stop the program on the pendant."),
     (r"how late pictures", "Commission again with a wider part or a firmer grip, or set lease.stop_lag_s."),
     (r"not homed", "Home the empty gripper: `tactile-insertion home --live`."),
     (r"force limit|grasp_", "Set the value of that name in [gripper] to one that the gripper allows."),
-    (r"FAST_STOP|grasping state ERROR|fault", "Find the cause, then `tactile-insertion home --live --acknowledge`."),
+    (r"FAST_STOP|fault", "Find the cause, then `tactile-insertion home --live --acknowledge`."),
     (
         r"gripper: .*no reply",
         "Check host and port; its web page must have the text based interface off: the binary protocol is needed.",

@@ -1,5 +1,6 @@
 """The commands of an insertion, each with the resulting state. Pure, like the machine that uses them."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -72,8 +73,8 @@ def go(
     plan = state.plan
     assert state.pose is not None
     try:
-        for corner in path:
-            check_pose(plan.limits, corner)
+        for before, corner in itertools.pairwise((state.pose, *path)):
+            check_pose(plan.limits, corner, here=before)
         duration_s = plan.ramps.duration_s(state.pose, path[0], motion)
     except ValueError as error:
         return fail(state, "limits", "target", str(error))

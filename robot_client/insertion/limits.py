@@ -61,18 +61,29 @@ class Limits(Contract):
 
 
 _TOLERANCE = 1.0 + 1e-6
+_INACCURACY = 0.1  # mm or deg by which an arm that was sent to the edge of the box may stand beyond it
 
 
-def check_pose(limits: Limits, pose: WorkPose, name: str = "target") -> WorkPose:
-    """``pose`` if it lies in the box; raises LimitError otherwise (also for non-finite values)."""
+def check_pose(limits: Limits, pose: WorkPose, name: str = "target", here: WorkPose | None = None) -> WorkPose:
+    """``pose`` if it lies in the box; raises LimitError otherwise (also for non-finite values).
+
+    ``here``: where the way to it begins. An arm that stands slightly beyond the box goes no further, but it may leave.
+    """
     values = {"x_mm": pose.x_mm, "y_mm": pose.y_mm, "z_mm": pose.z_mm, "yaw_deg": pose.yaw_deg}
     for field_name, value in values.items():
         low, high = getattr(limits, field_name)
+        if here is not None:
+            low, high = _widened(low, high, getattr(here, field_name))
         if not (math.isfinite(value) and low <= value <= high):
             raise LimitError(f"{name} {field_name} = {value:.3f}, allowed {low:g} .. {high:g}")
     if not abs(pose.tilt_deg) <= limits.max_tilt_deg:
         raise LimitError(f"{name} tilt_deg = {pose.tilt_deg:.3f}, allowed up to {limits.max_tilt_deg:g} either way")
     return pose
+
+
+def _widened(low: float, high: float, here: float) -> tuple[float, float]:
+    """The bounds, or the place beyond one of them, where it is beyond it by no more than an arm is inaccurate."""
+    return (min(low, here), max(high, here)) if max(low - here, here - high) <= _INACCURACY else (low, high)
 
 
 def check_correction(limits: Limits, attempt: int, dx_mm: float, dtheta_deg: float, age_s: float) -> None:
@@ -119,7 +130,7 @@ class StepGuard:
         if target == self.last:
             self.rest()
             return target
-        check_pose(self.limits, target)
+        check_pose(self.limits, target, here=self.last)
         if not (math.isfinite(elapsed_s) and elapsed_s > 0.0):
             raise LimitError(f"target after {elapsed_s} s, expected a positive time step")
         step = (target.x_mm - self.last.x_mm, target.y_mm - self.last.y_mm, target.z_mm - self.last.z_mm)

@@ -135,7 +135,7 @@ class MotionGuide:
         its speed on each of them.
         """
         check_leased(motion, until_s)
-        check_pose(self.limits, end)
+        check_pose(self.limits, end, here=self.target)
         check_legs(self.limits, motion, self.target, end, legs)
         profile = self.ramps.in_legs(self.target.z_mm, legs) if legs else self.ramps.profile(self.target, end, motion)
         self._guard.rest()

@@ -1,6 +1,7 @@
 """Motions outside an insertion: the arm moves along straight lines in free air, the gripper does one thing."""
 
 import asyncio
+import itertools
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 
@@ -58,8 +59,8 @@ class Errands:
             here = await arm.start(events.put_nowait)
             show(f"from {pose_text(here)}")
             corners = way(here)
-            for corner, _ in corners:
-                check_pose(self.limits, corner)
+            for before, corner in itertools.pairwise((here, *(corner for corner, _ in corners))):
+                check_pose(self.limits, corner, here=before)
             for corner, motion in corners:
                 if was_cancelled():
                     raise asyncio.CancelledError

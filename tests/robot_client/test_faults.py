@@ -131,7 +131,7 @@ FAULTS = {
     "gripper wrong crc": Fault(device(wsg={"wrong_crc_next": 100000}), GRIPPER_S, "no grasping state"),
     "gripper late": Fault(device(wsg={"delay_ms": 5000.0}), GRIPPER_S, "no grasping state"),
     "part lost": Fault(device(gripper={"part_lost": True}), NOW_S, "part_lost"),
-    "gripper fast stop": Fault(device(gripper={"fast_stop": True}), NOW_S, "ERROR"),
+    "gripper fast stop": Fault(device(gripper={"fast_stop": True}), NOW_S, "fast stop or fault"),
     "service closes": Fault(close_service, NOW_S + 0.1, "service: link"),
     "service reset": Fault(reset_service, NOW_S + 0.1, "service: link"),
     "service mute": Fault(serves(mute=True), SERVICE_S, "no message"),

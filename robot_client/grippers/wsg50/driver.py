@@ -265,7 +265,7 @@ class Wsg50(Gripper):
         if self._post is None or self.state is before:
             return
         if self.state is GraspingState.ERROR:
-            self._fail("error", "gripper: grasping state ERROR (fast stop or fault)")
+            self._fail("error", f"gripper: fast stop or fault; find the cause, then {_ACKNOWLEDGE}")
         elif before is GraspingState.HOLDING:
             if self.state in (GraspingState.PART_LOST, GraspingState.NO_PART):
                 self._post(PartLost(at_s=time.monotonic()))

@@ -180,7 +180,11 @@ def encode_robot(state: RobotState) -> bytes:
 
 
 def decode_robot(datagram: bytes) -> RobotState:
-    """Read EgmRobot bytes; raises EgmError. Absent states count as off, stopped or undefined."""
+    """Read EgmRobot bytes; raises EgmError. Absent states count as off, stopped or undefined.
+
+    Controllers have been reported that call RAPID undefined, however it runs, from a restart on (abb_libegm, pull
+    request 96): there the state of the motion control must do.
+    """
     message = pb.EgmRobot()
     _parse(message, datagram)
     joints = tuple(message.feedBack.joints.joints)
@@ -193,7 +197,8 @@ def decode_robot(datagram: bytes) -> RobotState:
         planned=_get_pose(message.planned.cartesian, "planned pose") if has_planned else None,
         joints_deg=joints,
         motors_on=message.motorState.state == pb.EgmMotorState.MOTORS_ON,
-        rapid_running=message.rapidExecState.state == pb.EgmRapidCtrlExecState.RAPID_RUNNING,
+        rapid_running=message.HasField("rapidExecState")
+        and message.rapidExecState.state != pb.EgmRapidCtrlExecState.RAPID_STOPPED,
         mc_state=_MC_STATES[message.mciState.state],
         converged=message.mciConvergenceMet,
         collided=message.CollisionInfo.collsionTriggered,

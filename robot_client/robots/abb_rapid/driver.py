@@ -82,7 +82,7 @@ class SocketArm:
     def move(self, target: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
         """Lower the guard's stop flag, then send the move; raises LimitError if it is not allowed."""
         check_leased(motion, until_s)
-        check_pose(self.limits, target)
+        check_pose(self.limits, target, here=self._here)
         if legs:
             raise LimitError("pace.fast_mm_s: over RAPID sockets a descent has one speed; leave it out, or use EGM")
         if self._latched or self._guard is None or self._here is None:
@@ -270,4 +270,5 @@ class SocketArm:
 
 def make(settings: Settings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:
     """The arm with RWS, whose RAPID task restarts itself after a lost connection."""
-    return SocketArm(settings, limits, ramps, frame, RwsClient(settings.rws.model_copy(update={"cycle": "forever"})))
+    rws = settings.rws.model_copy(update={"cycle": "forever"})
+    return SocketArm(settings, limits, ramps, frame, RwsClient(rws, full_speed=True))

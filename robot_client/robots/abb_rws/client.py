@@ -47,10 +47,14 @@ class ControllerStatus(Contract):
 
 
 class RwsClient:
-    """One controller; create it inside the event loop that uses it."""
+    """One controller; create it inside the event loop that uses it.
 
-    def __init__(self, settings: RwsSettings) -> None:
+    ``full_speed``: whether its program moves only as fast as ordered where the speed ratio is 100 %.
+    """
+
+    def __init__(self, settings: RwsSettings, *, full_speed: bool = False) -> None:
         self.settings = settings
+        self.full_speed = full_speed
         self.started = False
         self._generation: Generation | None = None
         self._auth: httpx.Auth | None = None
@@ -83,8 +87,15 @@ class RwsClient:
             Finding(status.operating_mode == "AUTO", f"operating mode {status.operating_mode} (expected AUTO)"),
             Finding(motors, f"controller {status.controller}"),
             Finding(status.execution == "stopped", f"RAPID {status.execution} (expected stopped)"),
-            Finding(True, f"speed ratio {status.speed_ratio} %"),
+            Finding(self._is_fast(status), f"speed ratio {status.speed_ratio} %{self._of_speed}"),
         ]
+
+    def _is_fast(self, status: ControllerStatus) -> bool:
+        return not self.full_speed or float(status.speed_ratio) == 100.0
+
+    @property
+    def _of_speed(self) -> str:
+        return " (expected 100: the service is told how fast the arm moves)" if self.full_speed else ""
 
     async def execution(self) -> str:
         """``running`` or ``stopped``."""
@@ -100,6 +111,8 @@ class RwsClient:
                 raise RwsError(f"controller state is {status.controller}, expected motoron; release the stop by hand")
             await self._order("motors", {"ctrl-state": "motoron"})
             await self._until("ctrlstate", "motoron", self.settings.motors_timeout_s)
+        if not self._is_fast(status):
+            raise RwsError(f"speed ratio is {status.speed_ratio} %{self._of_speed}; set it on the pendant")
         if status.execution == "running":
             raise RwsError("the RAPID program runs already; stop it, so that guidance starts from a known state")
         self.started = True  # from here on we have to stop the program, whatever the answer

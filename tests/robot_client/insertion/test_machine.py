@@ -152,6 +152,12 @@ def test_an_object_is_lifted_out_of_its_fixture_before_it_goes_over(held, lifted
     assert path == [pick.at_height(lifted_mm), APPROACH.at_height(lifted_mm), APPROACH]
 
 
+def test_an_insertion_begins_at_a_fixture_on_the_edge_of_the_box_where_no_arm_stands_exactly():
+    edge = WorkPose(x_mm=-40.02, y_mm=20.03, z_mm=45.0, yaw_deg=45.01)
+    state, commands = run([Begin(at_s=0.0, pose=edge, held=True), service(hello()), Grasped(at_s=0.0, width_mm=50.0)])
+    assert (state.phase, commands[-1].target) == (Phase.APPROACHING, edge)
+
+
 @pytest.mark.parametrize("repeat", [1, 2, 5])
 def test_a_correction_is_applied_once(repeat):
     state, _ = run(TO_DECISION)

@@ -1,6 +1,7 @@
 """Ways outside an insertion: out of the blocks and into a fixture the arm moves along the vertical only."""
 
 import asyncio
+import contextlib
 import itertools
 import math
 from dataclasses import replace
@@ -9,12 +10,13 @@ import pytest
 
 from robot_client.grippers.dry_run.driver import DryGripper
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.limits import LimitError, Limits
+from robot_client.insertion.limits import LimitError, Limits, check_pose
 from robot_client.insertion.motion import Ramp
 from robot_client.robots.dry_run.driver import DryArm
 from robot_client.robots.dry_run.driver import Settings as DryRun
 from robot_client.session.afresh import Fixture
 from robot_client.session.cycle import Cycle, CycleSettings
+from robot_client.session.travel import over_to, straight_up
 from robot_client.settings import Settings
 from simulation.cell.emulators.abb.motion import Pose, tool_down
 from tests.robot_client.live_cell import bench
@@ -85,3 +87,35 @@ def test_an_arm_beyond_half_a_turn_is_read_within_the_box_and_turns_no_further(d
 def test_a_box_of_more_than_a_turn_is_refused():
     with pytest.raises(ValueError, match="from -190 to 190 is more than a whole turn"):
         Limits(yaw_deg=(-190.0, 190.0))
+
+
+EDGE = {"z_mm": [10.0, 80.0], "x_mm": [-20.0, 20.0], "y_mm": [-5.0, 5.0]}
+
+
+@pytest.mark.parametrize("device", ["abb_egm", "abb_rapid"])
+@pytest.mark.parametrize(
+    ("at_mm", "leaves"),
+    [((5.0, 0.0, 9.98), True), ((-20.02, 5.02, 45.0), True), ((-20.2, 0.0, 45.0), False)],
+)
+def test_an_arm_that_was_sent_to_the_edge_of_the_box_leaves_it_from_a_little_beyond(device, at_mm, leaves):
+    async def story():
+        async with bench(device=device, overrides={"limits": EDGE}) as cell:
+            cell.cabinet.arm.pose = Pose(at_mm, tool_down(0.0))
+            cell.cabinet.arm.hold()
+            if leaves:
+                return await cell.settings.errands.go(
+                    over_to(WorkPose(x_mm=0.0, y_mm=0.0, z_mm=50.0, yaw_deg=0.0), 0.0)
+                )
+            with pytest.raises(LimitError, match=r"target x_mm = -20.200, allowed -20 .. 20"):
+                await cell.settings.errands.go(straight_up(1.0))
+            return None
+
+    here = asyncio.run(asyncio.wait_for(story(), 60.0))
+    assert here is None or here.z_mm == pytest.approx(50.0, abs=0.1)
+
+
+def test_beyond_the_edge_it_goes_no_further():
+    here = WorkPose(x_mm=-40.05, y_mm=0.0, z_mm=45.0, yaw_deg=0.0)
+    for x_mm, allowed in ((-40.05, True), (-40.02, True), (-40.06, False), (40.01, False)):
+        with contextlib.nullcontext() if allowed else pytest.raises(LimitError, match="x_mm"):
+            check_pose(Limits(), here._with(x_mm=x_mm), here=here)

@@ -166,7 +166,8 @@ class RapidServers:
         start = self.cabinet.arm.pose
         turn = math.sqrt(sum(c * c for c in rotation_between(start.quaternion, end.quaternion)))
         way_s = math.dist(start.position_mm, end.position_mm) / speed
-        self._travel = Travel(fields[1], start, end, max(way_s, turn / TURN_SPEED_RAD_S, _CYCLE_S))
+        share = max(1, self.cabinet.speed_ratio) / 100.0
+        self._travel = Travel(fields[1], start, end, max(way_s / share, turn / TURN_SPEED_RAD_S / share, _CYCLE_S))
         self.cabinet.arm.hold()
         self.cabinet.arm.braking = self.stop  # raised before the start: nothing moves
 

@@ -29,6 +29,22 @@ def test_robot_states_survive_the_wire(sequence, time_ms, feedback, planned, mot
     assert codec.decode_robot(codec.encode_robot(state)) == state
 
 
+RAPID = pb.EgmRapidCtrlExecState
+
+
+@pytest.mark.parametrize(
+    ("rapid", "fit"),
+    [(RAPID.RAPID_RUNNING, True), (RAPID.RAPID_UNDEFINED, True), (RAPID.RAPID_STOPPED, False), (None, False)],
+)
+def test_a_restarted_controller_that_calls_its_running_program_undefined_is_guided(rapid, fit):
+    message = pb.EgmRobot()
+    message.ParseFromString(codec.encode_robot(RobotState(5, 6, Pose(1, 2, 3))))
+    message.ClearField("rapidExecState")
+    if rapid is not None:
+        message.rapidExecState.state = rapid
+    assert (codec.decode_robot(message.SerializeToString()).unfit == "") is fit
+
+
 @given(st.integers(0, 2**32 - 1), st.none() | poses(), st.lists(MM, min_size=6, max_size=6) | st.just([]))
 def test_guidance_survives_the_wire(sequence, pose, speed):
     guidance = Guidance(sequence, 4, pose, (), tuple(speed))

@@ -10,6 +10,7 @@ from robot_client.insertion.motion import Ramps
 from robot_client.ports import DriverError
 from robot_client.robots.abb_rapid.driver import SocketArm
 from robot_client.robots.abb_rapid.settings import Settings
+from tests.robot_client.live_cell import bench
 
 
 @pytest.mark.parametrize("missing", ["motion server", "guard"])
@@ -57,6 +58,24 @@ def test_a_guard_that_says_nothing_is_no_start():
         server.close()
 
     asyncio.run(story())
+
+
+def test_a_controller_that_would_move_more_slowly_than_ordered_is_not_started():
+    async def story():
+        async with bench(device="abb_rapid") as cell:
+            cell.cabinet.speed_ratio = 50
+            arm = cell.settings.make_arm()
+            findings = await arm.checks()["robot"]()
+            with pytest.raises(DriverError, match=r"speed ratio is 50 % .expected 100.*; set it on the pendant"):
+                await arm.start(lambda _event: None)
+            await arm.close()
+            return findings, cell.cabinet.running
+
+    findings, running = asyncio.run(asyncio.wait_for(story(), 60.0))
+    assert [finding.text for finding in findings if not finding.good] == [
+        "speed ratio 50 % (expected 100: the service is told how fast the arm moves)"
+    ]
+    assert not running
 
 
 def free_port():
