@@ -49,14 +49,15 @@ class MjpegSource:
         try:
             path = self._parts.path or "/"
             connection.request("GET", f"{path}?{self._parts.query}" if self._parts.query else path)
+            sock = connection.sock  # the response of a stream without a length takes it from the connection
             response = connection.getresponse()
             kind = response.headers.get_content_type()
             if response.status != http.HTTPStatus.OK or not kind.startswith("multipart/"):
                 raise CameraError(f"answered {response.status} {kind}, expected 200 multipart/x-mixed-replace")
             boundary = response.headers.get_boundary("").strip("-").encode()
-            if connection.sock is not None:
-                connection.sock.settimeout(READ_TIMEOUT_S)
-            yield from self._parse(_Stream(response, connection.sock), b"--" + boundary, stop)
+            if sock is not None:
+                sock.settimeout(READ_TIMEOUT_S)
+            yield from self._parse(_Stream(response, sock), b"--" + boundary, stop)
         finally:
             connection.close()
 
@@ -106,7 +107,7 @@ class _Stream:
 
     def holds_another(self, boundary: bytes) -> bool:
         """Whether the next part has arrived as a whole; reads what waits in the socket."""
-        while self._sock is not None and len(self.held) <= MAX_JPEG_BYTES and select.select([self._sock], [], [], 0)[0]:
+        while len(self.held) <= MAX_JPEG_BYTES and self._waits():
             if not self.fill():
                 break
         header_end = self.held.find(b"\r\n\r\n")
@@ -115,6 +116,14 @@ class _Stream:
         length = _length(bytes(self.held[:header_end]))
         begin = header_end + 4
         return self.held.find(b"\r\n" + boundary, begin) >= 0 if length is None else len(self.held) >= begin + length
+
+    def _waits(self) -> bool:
+        """Whether something waits in the socket, which closes with the response."""
+        if self._sock is None or self._sock.fileno() < 0:
+            return False
+        waiting = select.poll()  # select itself takes no descriptor beyond 1023
+        waiting.register(self._sock, select.POLLIN)
+        return bool(waiting.poll(0))
 
 
 def _length(header: bytes) -> int | None:

@@ -1,10 +1,14 @@
 """When a picture was taken: a part's own stamp, or its arrival, but never that of a picture that had waited."""
 
+import contextlib
+import os
+import resource
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -40,7 +44,7 @@ def test_a_picture_that_was_held_up_for_seconds_does_not_pass_for_a_fresh_one(mo
 
 
 @contextmanager
-def unstamped_camera() -> Iterator[tuple[str, Callable[[int], None]]]:
+def unstamped_camera(padding_n: int = 0) -> Iterator[tuple[str, Callable[[int], None]]]:
     """A camera on a real socket that gives no stamps: its URL, and a call that sends one part."""
     listening = socket.create_server(("127.0.0.1", 0))
     connections: list[socket.socket] = []
@@ -54,7 +58,7 @@ def unstamped_camera() -> Iterator[tuple[str, Callable[[int], None]]]:
     def send(k: int) -> None:
         while not connections:
             time.sleep(0.01)
-        connections[0].sendall(b"Content-Type: image/jpeg\r\n\r\n%d\r\n--f\r\n" % k)
+        connections[0].sendall(b"Content-Type: image/jpeg\r\n\r\n%d%s\r\n--f\r\n" % (k, b" " * padding_n))
 
     thread = threading.Thread(target=accept, daemon=True)
     thread.start()
@@ -66,16 +70,39 @@ def unstamped_camera() -> Iterator[tuple[str, Callable[[int], None]]]:
             one.close()
 
 
-def test_pictures_without_stamps_that_waited_are_dropped() -> None:
-    """Read at once, all are yielded; of those that arrived while nobody read, only the newest."""
-    with unstamped_camera() as (url, send):
+@pytest.mark.parametrize("padding_n", [0, 60_000])
+def test_pictures_without_stamps_that_waited_are_dropped(padding_n: int) -> None:
+    """Read at once, all are yielded; of those that arrived while nobody read, only the newest, however large."""
+    with unstamped_camera(padding_n) as (url, send):
         captures = MjpegSource(url).frames(threading.Event())
         for k in range(3):
             threading.Timer(0.02, send, (k,)).start()
-            assert next(captures).jpeg == b"%d" % k
+            assert next(captures).jpeg.strip() == b"%d" % k
         for k in range(3, 8):
             send(k)
-        assert next(captures).jpeg == b"7"
+        assert next(captures).jpeg.strip() == b"7"
+
+
+def test_a_stream_is_read_beside_a_thousand_connections_and_to_its_end() -> None:
+    with contextlib.ExitStack() as others:
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+        others.callback(resource.setrlimit, resource.RLIMIT_NOFILE, (soft, hard))
+        for _ in range(1100):
+            others.enter_context(Path(os.devnull).open("rb"))
+        with socket.create_server(("127.0.0.1", 0)) as server:
+
+            def serve() -> None:
+                link, _ = server.accept()
+                with link:
+                    link.recv(4096)
+                    link.sendall(b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=f\r\n\r\n")
+                    for k in range(3):
+                        link.sendall(b"--f\r\nContent-Length: 1\r\n\r\n%d\r\n" % k)
+
+            threading.Thread(target=serve).start()
+            captures = list(MjpegSource(f"http://127.0.0.1:{server.getsockname()[1]}/").frames(threading.Event()))
+    assert captures[-1].jpeg == b"2"
 
 
 def test_after_a_silence_a_stream_without_stamps_is_reopened() -> None:
