@@ -185,7 +185,7 @@ def training_objects() -> tuple[str, ...]:
 
 
 def files_in(given: Iterable[str | Path], known: Iterable[str] = ()) -> tuple[str, ...]:
-    """Known names and files unchanged, and each folder's TOML files.
+    """Known names and files unchanged, and each folder's TOML files, except hidden ones.
 
     Raises:
         SceneError: an empty folder, or two of the same name: results are listed by name.
@@ -193,7 +193,7 @@ def files_in(given: Iterable[str | Path], known: Iterable[str] = ()) -> tuple[st
     known = set(known)
     listed: list[str] = []
     for one in map(str, given):
-        inside = sorted(map(str, Path(one).glob("*.toml"))) if one not in known and Path(one).is_dir() else [one]
+        inside = sorted(map(str, Path(one).glob("[!.]*.toml"))) if one not in known and Path(one).is_dir() else [one]
         if not inside:
             raise SceneError(f"{one}: no TOML file in this folder")
         listed += inside

@@ -24,6 +24,7 @@ from service.contract import ContractError
 from simulation.closed_loop import benchmark
 from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row, ends
+from simulation.data.manifest import MANIFEST, read_manifest
 from simulation.data.parallel import results
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
@@ -44,7 +45,7 @@ PROBES, WORK, SCORING = 1, 2, 3
 FEW = 50
 REFUSED, STAYS = 2, 3
 """Exit statuses of `training adapt`: invalid input, such as nothing to learn from, and a release that stays."""
-ANSWERS: Mapping[str, set[int]] = {"simulation": {0}, "training": {0, REFUSED, STAYS}, "export": {0, REFUSED}}
+ANSWERS: Mapping[str, set[int]] = {"simulation": {0, REFUSED}, "training": {0, REFUSED, STAYS}, "export": {0, REFUSED}}
 """Exit statuses that are an answer, of each package's command."""
 MISTAKES: Mapping[str, Mapping[str, Any]] = {
     "fingers swapped": {"swapped_fingers": True},
@@ -184,10 +185,10 @@ def _lessons(cell: Cell, plan: Plan, labelled: Sequence[Path]) -> dict[str, Sequ
     return lessons
 
 
-def _pressed_around(cell: Cell, plan: Plan) -> tuple[Path, float]:
+def _pressed_around(cell: Cell, plan: Plan) -> tuple[Path | None, float]:
     """Press the cell's objects in simulated cells with the grip and height given to its client; the folder, seconds.
 
-    Raises ContractError if an object cannot be pressed there.
+    No folder if an object cannot be pressed there: it always goes in, or falls from the hand.
     """
     held = next(iter(cell.objects.values())).grasp
     told_mm = held.height_mm + cell.world.unstated.told_height_error_mm
@@ -203,7 +204,10 @@ def _pressed_around(cell: Cell, plan: Plan) -> tuple[Path, float]:
         each = str(-(-plan.around // len(cell.objects)))
         where = ("--around", str(known), "--out", str(out), "--objects", *cell.objects)
         more = ("--trials-per-object", each, "--seed", str(cell.seed), "--workers", str(plan.workers))
-        _call("simulation", "collect", *where, *more)
+        refused = _call("simulation", "collect", *where, *more)
+        if not ((out / MANIFEST).exists() and read_manifest(out).complete):
+            print(f"{cell.world.name}: nothing is learnt from presses around the cell: {refused}", file=sys.stderr)
+            return None, time.monotonic() - began
         write_json(kept, {"took_s": time.monotonic() - began})
     return out, float(json.loads(kept.read_text(encoding="utf-8"))["took_s"])
 

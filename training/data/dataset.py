@@ -5,6 +5,7 @@ The only module that touches the simulator, and only its readers of datasets.
 
 import hashlib
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -177,7 +178,7 @@ def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[An
         raise ContractError(f"none of the {count} trials is a collision; expected outcome 'blocked' with an onset")
     table = _as_arrays(rows) | {"fields": np.stack(fields)}
     _check(table)
-    _write(path, table)
+    write_table(path, table)
     return table
 
 
@@ -197,8 +198,9 @@ def _check(table: dict[str, NDArray[Any]]) -> None:
             raise ContractError(f"re-fixture group {group} is in {SPLITS[split]} and {SPLITS[homes[group]]}")
 
 
-def _write(path: Path, table: dict[str, NDArray[Any]]) -> None:
-    temporary = path.with_suffix(".tmp.npz")
+def write_table(path: Path, table: dict[str, NDArray[Any]]) -> None:
+    """Write the file whole or not at all, also where another process writes the same one."""
+    temporary = path.with_suffix(f".{os.getpid()}.tmp.npz")
     np.savez(temporary, **table)  # type: ignore[arg-type]
     temporary.replace(path)
 
@@ -216,7 +218,7 @@ def _load_pictures(
         path = folder / f"{table['key'][trial]}.npy"
         if not path.exists():
             frames = source.frames(int(table["index"][trial]), int(table["start"][trial]), WINDOW)
-            temporary = path.with_suffix(".tmp.npy")
+            temporary = path.with_suffix(f".{os.getpid()}.tmp.npy")
             np.save(temporary, shown(frames, source.manifest.sensor, reads))
             temporary.replace(path)
         kept.append(np.load(path))

@@ -160,6 +160,18 @@ def test_presses_around_a_cell_are_kept_for_their_number_and_objects_only(tmp_pa
     assert commissioning._pressed_around(cell, plan) == (one, took_s)
 
 
-def test_an_object_that_cannot_be_pressed_around_a_cell_ends_the_run(tmp_path):
-    with pytest.raises(ContractError, match=r"simulation collect: exit status 2: .*teapot"):
-        commissioning._call("simulation", "collect", "--out", str(tmp_path), "--objects", "teapot")
+def test_a_cell_with_an_object_that_cannot_be_pressed_learns_from_no_presses_and_goes_on(tmp_path, capsys):
+    (tmp_path / "anvil.toml").write_text(
+        '[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 50.0\nmass_kg = 5.0\n'
+    )
+    objects = load_objects(["circle", str(tmp_path / "anvil.toml")])
+    plan = Plan(tmp_path, tmp_path, 0, 1, workers=1, around=2)
+    assert commissioning._pressed_around(Cell(World("cell"), objects, tmp_path / "cell", 3), plan)[0] is None
+    assert "cell: nothing is learnt from presses" in (shown := capsys.readouterr().err)
+    assert "grasp_lost" in shown
+
+
+def test_a_command_that_gives_no_answer_ends_the_run(monkeypatch):
+    monkeypatch.setitem(commissioning.ANSWERS, "simulation", {0})
+    with pytest.raises(ContractError, match=r"simulation teapot: exit status 2: .*teapot"):
+        commissioning._call("simulation", "teapot")

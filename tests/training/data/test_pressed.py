@@ -2,6 +2,7 @@
 
 import json
 from copy import copy
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -52,6 +53,23 @@ def test_views_are_the_same_in_every_process_and_differ_from_each_other(pressed_
     assert len(train_rows) == 2 * sum(trial.split == "train" for trial in pressed_source.trials)
     assert not np.array_equal(first.fields[train_rows[0]], first.fields[train_rows[1]])
     assert first.fields.shape[1:] == (STEPS, 2, LATTICE.rows, LATTICE.columns, 2)
+
+
+def test_two_processes_may_fill_the_same_cache_at_once(pressed_source, config, tmp_path, monkeypatch):
+    data = config.data.model_copy(update={"cache": str(tmp_path)})
+    write = np.savez
+
+    def overtaken(path, **table):
+        write(path, **table)
+        monkeypatch.setattr(np, "savez", write)
+        other = get_context("fork").Process(target=load_pressed, args=(data, pressed_source))
+        other.start()
+        other.join()
+        assert other.exitcode == 0
+
+    monkeypatch.setattr(np, "savez", overtaken)
+    assert len(load_pressed(data, pressed_source)) > 60
+    assert len(list(tmp_path.rglob("*.npz"))) == 1
 
 
 def test_a_trial_that_states_no_speed_is_read_as_one_of_its_scene(pressed_source):
