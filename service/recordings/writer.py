@@ -33,6 +33,7 @@
 import contextlib
 import fcntl
 import json
+import os
 import queue
 import re
 import threading
@@ -242,6 +243,8 @@ class Recorder:
         """Give the file its final name; an incomplete one is left for a recovery."""
         try:
             self._mcap.close()
+            self._stream.flush()
+            put_on_disk(self.folder)
             if not self._stuck:
                 (self.folder / PART).rename(self.path)
         except OSError as error:
@@ -274,6 +277,13 @@ def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
     partial.replace(path)
+
+
+def put_on_disk(folder: Path) -> None:
+    """Wait until a power cut would not shorten any file of a folder."""
+    for path in filter(Path.is_file, folder.iterdir()):
+        with path.open("rb") as file:
+            os.fsync(file.fileno())
 
 
 def write_whole(path: Path, text: str) -> None:

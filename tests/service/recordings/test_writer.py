@@ -111,6 +111,24 @@ def test_a_killed_service_leaves_all_but_the_last_second(tmp_path: Path) -> None
     assert list(tmp_path.glob("*/*.part")) == recover(tmp_path) == []
 
 
+def test_all_files_are_on_the_disk_before_the_recording_has_its_final_name(tmp_path: Path, monkeypatch) -> None:
+    """A power cut later than that shortens none of them."""
+    recorder, on_disk, really = Recorder(tmp_path, "cut", {}), {}, os.fsync
+
+    def fsync(number: int) -> None:
+        assert not recorder.path.exists()
+        really(number)
+        on_disk[os.fstat(number).st_ino] = os.fstat(number).st_size
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    recorder.message("client", {"type": "hello"}, 1)
+    recorder.attempt(1, lambda: {"steps": np.zeros(3)})
+    path = recorder.close({"outcome": "inserted"})
+    files = {file.name: file.stat() for file in path.parent.iterdir()}
+    assert set(files) >= {"insertion.mcap", "summary.json", "attempt_01.npz"}
+    assert {file.st_ino: file.st_size for file in files.values()} == on_disk
+
+
 def test_a_recording_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, "alive", {})
     assert recover(tmp_path) == []
