@@ -72,7 +72,9 @@ class SocketArm:
         for work in (motion, self._read(guard_reader, self._on_guard, "guard"), self._beat(), self._lapse()):
             self._tasks.append(asyncio.get_running_loop().create_task(work))
         deadline_s = time.monotonic() + self.settings.connect_timeout_s
-        while self._here is None:
+        while self._here is None or self._latched:
+            if self._latched:
+                raise DriverError(f"robot: {self._latched}")
             if time.monotonic() > deadline_s:
                 raise DriverError("robot: the guard does not report where the arm is; is TactileGuard.mod running?")
             await asyncio.sleep(0.01)
@@ -256,12 +258,13 @@ class SocketArm:
             self._post(event)
 
     def _fail(self, code: str, detail: str) -> None:
-        if self._latched or self._post is None:
+        if self._latched:
             return
         self._latched = f"{code}: {detail}"
         self._pending = self._until_s = None
         self._ask_guard("S", self._next())
-        self._post(Failure(at_s=time.monotonic(), source="arm", code=code, detail=detail))
+        if self._post is not None:
+            self._post(Failure(at_s=time.monotonic(), source="arm", code=code, detail=detail))
 
     def _stop_program(self) -> None:
         if self.rws is not None and self.rws.started and self._stopping is None:
