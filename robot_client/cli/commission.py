@@ -119,6 +119,8 @@ class Probing:
             show(f"  log {log.path} BROKEN OFF: {log.lost}")
         self._rate_hz = min(felt.rates_hz, default=self._rate_hz)
         done = probe_of(plan.insertion_id, plan.approach, felt.answer)
+        if watch.stop:
+            done = done.model_copy(update={"below_mm": watch.stop.touch_mm - plan.clearance_mm})
         return Ended(done, state.phase, state.reason, felt.gels, watch.stop)
 
     async def begin(self) -> None:

@@ -1,7 +1,5 @@
 """The client as played in lock step: its plan, and how its arm descends."""
 
-from typing import Any
-
 from robot_client.insertion.events import Move
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.lease import FAST_S, PAUSE_S, SLOW_MM, Lease
@@ -90,13 +88,6 @@ def walk_of(plan: Plan, here: WorkPose, move: Move) -> Walk:
     if move.legs:
         return plan.ramps.in_legs(here.z_mm, move.legs).position
     return plan.ramps.profile(here, move.target, move.motion).position
-
-
-def seconds_of_frames(attempt: Any) -> float | None:
-    """Time from motion onset to the last frame behind the decision of a `service.decision.attempt.Attempt`, s."""
-    if attempt is None or attempt.onset_ns is None or not attempt.decision_pairs:
-        return None
-    return float(attempt.decision_pairs[-1].captured_ns - attempt.onset_ns) / 1e9
 
 
 def trip_s(plan: Plan) -> float:

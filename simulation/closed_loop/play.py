@@ -39,11 +39,11 @@ from service.contract.wire import Correction, LearnOpen, NoDecision
 from service.decision.attempt import WorkResult
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
-from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, plan_of, seconds_of_frames, staged, trip_s, walk_of
+from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, plan_of, staged, trip_s, walk_of
 from simulation.closed_loop.job import Job, Outcome, Perception, Who
 from simulation.closed_loop.lockstep import GraspEndError, LockstepCell
 from simulation.closed_loop.oracle import by_the_truth, nothing_known
-from simulation.closed_loop.session import session_of
+from simulation.closed_loop.session import measured, session_of
 from simulation.closed_loop.true_fields import Fault, Trouble
 from simulation.closed_loop.unseen import Unseen
 from simulation.scene.state import PhysicsError, TouchingError
@@ -204,10 +204,9 @@ class Insertion:
                 self.session.decider.consistency = None  # the arm follows the oracle's moves
             message = by_the_truth(message, self.before.object_error)
         decision = message.model_dump(mode="json", exclude={"insertion_id", "latency_ms"})
-        frames_s = seconds_of_frames(self.session.attempt)
         wrench = [round(float(v), 3) for v in self.cell.state.wrench_n_nmm]
-        trial = {"error_before": list(self.before.object_error), "wrench": wrench}
-        self.trials.append(trial | {"decision": decision, "frames_s": frames_s})
+        trial = {"error_before": list(self.before.object_error), "wrench": wrench, "decision": decision}
+        self.trials.append(trial | measured(self.session.attempt, self.state.plan.clearance_mm))
         return message
 
     def _post(self, event: Event) -> None:

@@ -1,8 +1,11 @@
 """The service's session in lock step, with fingers that see pictures or the simulated gel itself."""
 
+import math
 from collections.abc import Mapping
 
 from service.contract import FINGERS, Finger
+from service.decision.attempt import Attempt
+from service.decision.claim import pressed_mm
 from service.decision.models import ModelSet
 from service.perception.finger import TactileFinger
 from service.perception.observation import FingerWatch
@@ -26,3 +29,18 @@ def _finger(
     if perception == "fields":
         return TrueFieldFinger(cell, FINGERS[index], troubles.get(FINGERS[index]))
     return TactileFinger(FINGERS[index], models.card.frame, cell.calibration(index))
+
+
+def measured(attempt: Attempt | None, clearance_mm: float) -> dict[str, float | None]:
+    """What an attempt took and showed, for its log.
+
+    ``frames_s``: time from the onset of motion to the last frame behind the decision, s. ``below_mm``: how far below
+    the tops of the blocks, which are taught as ``clearance_mm`` below the approach, the object touched, as it seems.
+    """
+    if attempt is None or attempt.onset_ns is None:
+        return {"frames_s": None, "below_mm": None}
+    pressed, pairs = pressed_mm(attempt), attempt.decision_pairs
+    return {
+        "frames_s": (pairs[-1].captured_ns - attempt.onset_ns) / 1e9 if pairs else None,
+        "below_mm": attempt.depth_mm - pressed - clearance_mm if 0.0 < pressed < math.inf else None,
+    }

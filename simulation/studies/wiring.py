@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_client.session.commission.wiring import SIDES, WENT_IN, Probe, mistakes, wiring_mistakes
+from robot_client.session.commission.wiring import SIDES, WENT_IN, Probe, dangerous_mistakes, mistakes
 from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row
 from simulation.scene.scene import Scene
@@ -62,8 +62,8 @@ def named_mistakes(rows: Sequence[Row]) -> list[str]:
 
 
 def named_wirings(rows: Sequence[Row]) -> list[str]:
-    """As `named_mistakes`, but only what is wired wrong, not what is out of place."""
-    return list(wiring_mistakes(_sides(rows))) if carried_out(rows) else []
+    """As `named_mistakes`, but only those by which corrections or claims are wrong, not what is out of place."""
+    return list(dangerous_mistakes(_sides(rows))) if carried_out(rows) else []
 
 
 def _sides(rows: Sequence[Row]) -> tuple[Probe, ...]:
@@ -83,6 +83,7 @@ def _probe(row: Row, x_mm: float, theta_deg: float) -> Probe:
         sigma_x_mm=felt.get("sigma_x_mm"),
         sigma_theta_deg=felt.get("sigma_theta_deg"),
         turns_deg=turns and (turns[0], turns[1]),
+        below_mm=row["trials"][0].get("below_mm") if row["trials"] else None,
         said="" if felt else ending,
         insertion_id="simulated",
     )

@@ -13,6 +13,7 @@ CLEAR_SHARE = 0.2  # share of the known error below which estimates show no sign
 LEAST_TURN_DEG, LIKE, LEAST_TURNS, ALIKE = 0.08, 0.5, 2, 0.5  # turns of similar size, and their share that follows x
 WENT_IN_SIGMA_MM, UNSTATED_SIGMA = 1.5, 5.0
 OFF_MM, OFF_DEG = 5.0, 8.0  # largest common offset of two opposite sides in a cell with a correct frame
+LOW_MM = 3.0  # what is late makes a touch seem up to 2 mm lower; from 4.5 mm on, full depth ends short
 WENT_IN = "went in without a touch"
 
 
@@ -20,6 +21,7 @@ class Probe(Contract):
     """One probe: its known error, and the service's result (``said`` if it gave no estimate).
 
     ``turns_deg``: turn of the object as seen by the left and the right finger, clockwise in their pictures.
+    ``below_mm``: how far below the taught tops of the blocks it touched, as it seems; what is late makes it more.
     """
 
     x_mm: float
@@ -29,6 +31,7 @@ class Probe(Contract):
     sigma_x_mm: float | None = None
     sigma_theta_deg: float | None = None
     turns_deg: tuple[float, float] | None = None
+    below_mm: float | None = None
     said: str = ""
     insertion_id: str
 
@@ -53,13 +56,13 @@ def mistakes(signs: tuple[Probe, ...]) -> tuple[str, ...]:
         causes.append(f"the tool frame or the fixture is off by about {x[1]:+.1f} mm in x")
     if theta and abs(theta[1]) > OFF_DEG:
         causes.append(f"the tool frame or the fixture is off by about {theta[1]:+.1f} deg in yaw")
-    return tuple(causes)
+    return (*causes, *_too_low(signs))
 
 
-def wiring_mistakes(signs: tuple[Probe, ...]) -> tuple[str, ...]:
-    """What of :func:`mistakes` is wired wrong: swapped or mirrored cameras, or reversed axes."""
+def dangerous_mistakes(signs: tuple[Probe, ...]) -> tuple[str, ...]:
+    """Those of :func:`mistakes` by which corrections or claims are wrong: wiring, and the height of the blocks."""
     x, theta = _axes(signs)
-    return _contradictory(signs) or (_reversed(x, theta) if x else ())
+    return _contradictory(signs) or ((*_reversed(x, theta), *_too_low(signs)) if x else ())
 
 
 Axis = tuple[int, float]  # sign (0 if unclear) and offset
@@ -81,6 +84,14 @@ def _axes(signs: tuple[Probe, ...]) -> tuple[Axis | None, Axis | None]:
 def _reversed(x: Axis, theta: Axis | None) -> tuple[str, ...]:
     yaws = (theta[0],) if theta and theta[0] else (1, -1) if x[0] < 0 else (1,)  # an axis not felt may be either
     return tuple(WIRINGS[x[0], yaw] for yaw in yaws if (x[0], yaw) in WIRINGS)
+
+
+def _too_low(signs: tuple[Probe, ...]) -> tuple[str, ...]:
+    """Blocks whose tops are lower than taught: full depth would end short of the depth that is wanted."""
+    below_mm = min((probe.below_mm for probe in signs if probe.below_mm is not None), default=0.0)
+    if below_mm <= LOW_MM:
+        return ()
+    return (f"the block tops are up to {below_mm:.1f} mm lower than taught, or the object hangs so much higher",)
 
 
 def _felt_x(probe: Probe) -> tuple[float | None, float | None]:

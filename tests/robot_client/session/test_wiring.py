@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_client.insertion.geometry import WorkPose
-from robot_client.session.commission.wiring import SIDES, mistakes, probe_of
+from robot_client.session.commission.wiring import SIDES, dangerous_mistakes, mistakes, probe_of
 from service.contract import wire
 from service.contract.words.wiring import WIRINGS
 from tests.robot_client.insertion.stories import correction
@@ -55,6 +55,24 @@ def test_a_cell_that_is_wired_wrong_is_named_by_its_signs(signs):
 def test_a_cell_that_is_framed_wrong_or_feels_nothing_is_named(wrong, says):
     (named,) = mistakes(tuple(answers(**wrong)))
     assert says in named
+
+
+@pytest.mark.parametrize(
+    ("below_mm", "named"),
+    [
+        ((4.6, 4.2, 4.9, 5.0), "the block tops are up to 4.2 mm lower than taught"),
+        ((4.6, None, None, None), "the block tops are up to 4.6 mm lower than taught"),
+        ((4.6, 1.9, 4.9, 5.0), ""),
+        ((1.9, 1.9, 1.9, 1.9), ""),
+        ((None,) * 4, ""),
+    ],
+)
+def test_blocks_that_are_lower_than_taught_are_named_because_full_depth_would_end_above_the_bottom(below_mm, named):
+    """An object that jams between the blocks touches lower down, but not on all four sides."""
+    probes = zip(answers(), below_mm, strict=True)
+    signs = tuple(probe.model_copy(update={"below_mm": below}) for probe, below in probes)
+    assert [cause.partition(",")[0] for cause in mistakes(signs)] == [named] * bool(named)
+    assert dangerous_mistakes(signs) == mistakes(signs)
 
 
 def test_a_cell_where_everything_goes_in_feels_nothing():

@@ -1,11 +1,18 @@
 """Four probes show how a cell is wired."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from robot_client.session.commission.wiring import SIDES
+from service.contract.shipped import released_models
+from simulation.cli.drawn_worlds import drawn_worlds_of
+from simulation.closed_loop.job import Job
+from simulation.closed_loop.play import insert, models_of
+from simulation.scene.unstated import Unstated
 from simulation.scene.worlds import load_objects
-from simulation.studies.wiring import by_corner, named_mistakes
+from simulation.studies.wiring import by_corner, named_mistakes, named_wirings, probes
 
 
 def test_the_part_with_the_farthest_corner_is_probed_first_and_a_round_one_last(tmp_path):
@@ -81,3 +88,13 @@ def test_probes_that_nobody_decided_are_told_and_a_refusal_names_its_cause():
 def test_a_cell_in_which_a_probe_was_not_carried_out_is_not_accused():
     not_held = {"reason": "service: refused: nothing_held", "trials": []}
     assert named_mistakes([not_held, *cell(-1, 1, 0)[1:]]) == []
+
+
+@pytest.mark.parametrize(("up_mm", "named"), [(-1.0, False), (-5.0, True)])
+def test_blocks_lower_than_taught_are_named_before_anything_is_inserted_between_them(up_mm, named):
+    """Full depth would be reached 15 mm below the tops as they were taught, and claimed."""
+    world = replace(drawn_worlds_of(50, 112, 0.0)[41], unstated=Unstated(blocks_up_mm=up_mm))
+    networks = models_of(released_models())
+    rows = [insert(Job(**job), networks) for job in probes(world, "rectangle", 112)]
+    causes = [cause for cause in named_wirings(rows) if "block tops" in cause]
+    assert bool(causes) == named
