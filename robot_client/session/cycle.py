@@ -148,6 +148,8 @@ class Cycle:
                     await self.plc.busy()
                 return True
             if waits != shown:
+                if self.plc and self.pace.paused:
+                    await self.plc.busy()  # or a start now would count as soon as the person lets the cycle go on
                 self.show(waits)
                 shown = waits
             await asyncio.sleep(PATIENCE_S)

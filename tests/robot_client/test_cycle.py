@@ -209,6 +209,24 @@ def test_a_plc_starts_each_part_and_is_told_when_it_is_done():
     assert [signals[name] for name in SIGNALS] == [0.0, 0.0, 0.0, 0.0]
 
 
+def test_a_paused_cycle_is_not_ready_for_a_plc():
+    async def work():
+        async with cell_with() as (cell, _):
+            signals, lines, levels = cell.cabinet.signals, [], []
+            running = cycle_of(cell, lines, plc=HandshakeSettings())
+            task = asyncio.create_task(running.run(None))
+            for word, line in (("", "waiting for the PLC"), ("pause", "paused"), ("resume", "waiting for the PLC")):
+                running.pace.order(word)
+                lines.clear()
+                while line not in lines or signals["doTactileReady"] == (line == "paused"):  # noqa: ASYNC110
+                    await asyncio.sleep(0.01)
+                levels.append(signals["doTactileReady"])
+            running.pace.order("stop")
+            return (await task).inserted_n, levels
+
+    assert run(work) == (0, [1.0, 0.0, 1.0])
+
+
 def test_a_plc_that_starts_before_anybody_is_ready_is_a_fault():
     async def work():
         async with cell_with() as (cell, _):
