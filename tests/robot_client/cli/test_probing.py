@@ -6,13 +6,17 @@ from types import SimpleNamespace
 import pytest
 
 from robot_client.cli.commission import Probing
+from robot_client.insertion.events import Standstill
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.state import State
 from robot_client.ports import DriverError, Gripper
 from robot_client.robots.dry_run.driver import DryArm
 from robot_client.robots.dry_run.driver import Settings as DryRun
 from robot_client.session.cycle import CycleSettings
 from robot_client.session.travel import Errands
 from robot_client.settings import Settings
+from service.contract import wire
+from tests.robot_client.insertion.stories import APPROACH, ID, PLAN, TO_DESCENT, at, run, service
 
 REAL = Settings(cycle=CycleSettings(pick=WorkPose(x_mm=-20.0, y_mm=5.0, z_mm=45.0, yaw_deg=0.0), open_mm=80.0))
 
@@ -94,3 +98,30 @@ def test_a_probe_reckons_with_the_lateness_as_soon_as_it_is_known(tmp_path, monk
     asyncio.run(probing.probe(8.0, 8.0, until_slip=until_slip))
     asyncio.run(probing.press_at(8.0, 8.0, fast=True))
     assert [plan.lease.stop_lag_s for plan in plans] == [counts_s, 0.04], "the press that measures it presumes nothing"
+
+
+def test_a_probe_tells_how_far_below_the_taught_tops_it_touched(tmp_path, monkeypatch):
+    """By what the service felt of the press, when it ordered the stop, and by where the arm stood."""
+
+    class Played:
+        farewell = ""
+
+        def __init__(self, plan, _arm, _gripper, _service, log, observers):
+            self.plan, self.observers, self.log = plan, observers, log
+
+        async def run(self):
+            state = State(self.plan)
+            order = wire.Enough(insertion_id=ID, attempt=1, frame_seq=3, captured_ns=30_000_000, pressed_mm=0.8)
+            still = at(APPROACH.at_height(APPROACH.z_mm - 7.5), Standstill)
+            for event in (*TO_DESCENT, service(order, 0.05), still):
+                state, _ = run([event], state)
+                for observer in self.observers:
+                    observer.on_event(state, event)
+            self.log.end({})
+            return state
+
+    monkeypatch.setattr("robot_client.cli.commission.Runner", Played)
+    monkeypatch.setattr("robot_client.cli.commission.live_ports", lambda *_: (None,) * 3)
+    plan = PLAN.model_copy(update={"purpose": "probe"})
+    ended = asyncio.run(Probing(REAL, REAL.cycle, tmp_path)._run(plan))
+    assert ended.probe.below_mm == pytest.approx(7.5 - 0.8 - 10.0 * 0.02 - plan.clearance_mm, abs=0.01)
