@@ -47,7 +47,7 @@ def probes(world: World, name: str, seed: int, **job: Any) -> list[Row]:
 
 
 def carried_out(rows: Sequence[Row]) -> bool:
-    """Whether each of these probes was answered or inserted; else the client would have stopped there."""
+    """Whether each of these probes was answered or inserted; one that was refused in its grasp tells nothing."""
     return not any(row["reason"] and not row["trials"] for row in rows)
 
 
