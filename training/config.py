@@ -51,12 +51,13 @@ class LossConfig(Contract):
     field: float = Field(default=0.5, ge=0)
 
 
-class _Run(Contract):
-    """Fields of every run: its name and its output folder."""
+class AnyRun(Contract):
+    """Fields of every run: its name, its output folder, and the device that computes its steps."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")
     seed: int = Field(default=0, ge=0)
     threads: int = Field(default=1, ge=1)
+    device: str = Field(default="cpu", pattern=r"^(cpu|cuda)$")
     runs: str = "runs"
 
     @classmethod
@@ -74,7 +75,7 @@ class _Run(Contract):
         return Path(self.runs) / self.name
 
 
-class RunConfig(_Run):
+class RunConfig(AnyRun):
     """A whole run: images to marker motion (front), marker motion to decision (trunk), both together (tune).
 
     ``start_from``: a checkpoint with the initial weights, instead of random ones.
@@ -104,7 +105,7 @@ class RunConfig(_Run):
         return stated | {"start_from": Path(self.start_from).parent.name if self.start_from else None}
 
 
-class RecipeConfig(_Run):
+class RecipeConfig(AnyRun):
     """One run of the recipe. Trials are those of each split, up to a maximum, chosen by the hash of their content."""
 
     data: str

@@ -12,8 +12,12 @@ import tyro
 from service.contract import ContractError
 from service.contract.text import fitted, read_by_somebody
 
+Device = Literal["cpu", "cuda"]
 
-def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
+
+def train(
+    config: Annotated[Path, tyro.conf.Positional], data: Path | None = None, device: Device | None = None
+) -> None:
     """Train one run from its TOML file; started again, it resumes.
 
     In several processes: ``torchrun --standalone --nproc-per-node 2 -m training train CONFIG``.
@@ -21,11 +25,14 @@ def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = Non
     Args:
         config: the run's TOML file, see training/configs/.
         data: dataset folder, instead of the one in the config.
+        device: what computes the steps, instead of the config's device; the default is the CPU.
     """
     from training.config import RunConfig
     from training.fit.train import train as run
 
     loaded = RunConfig.load(config)
+    if device is not None:
+        loaded = loaded.model_copy(update={"device": device})
     if data is not None:
         loaded = loaded.model_copy(update={"data": loaded.data.model_copy(update={"path": str(data)})})
     figures = run(loaded).figures
@@ -34,17 +41,22 @@ def train(config: Annotated[Path, tyro.conf.Positional], data: Path | None = Non
         print(f"checkpoint: {loaded.folder / 'checkpoint.pt'}")
 
 
-def recipe(config: Annotated[Path, tyro.conf.Positional], data: Path | None = None) -> None:
+def recipe(
+    config: Annotated[Path, tyro.conf.Positional], data: Path | None = None, device: Device | None = None
+) -> None:
     """Train the paper's own recipe (two AlexNet-LSTM networks), the baseline; started again, it resumes.
 
     Args:
         config: the recipe's TOML file, see training/configs/alexnet_lstm.toml.
         data: dataset folder, instead of the one in the config.
+        device: what computes the steps, instead of the config's device; the default is the CPU.
     """
     from training.config import RecipeConfig
     from training.fit.recipe import train_recipe
 
     loaded = RecipeConfig.load(config)
+    if device is not None:
+        loaded = loaded.model_copy(update={"device": device})
     if data is not None:
         loaded = loaded.model_copy(update={"data": str(data)})
     print_table(train_recipe(loaded).figures)

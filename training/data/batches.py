@@ -1,7 +1,8 @@
 """Batches for the three stages of training, with onset jitter and the cell's two symmetries."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import torch
@@ -34,6 +35,11 @@ class Batch:
     label: Tensor
     geometry: Tensor
     length: Tensor | None = None
+
+    def to(self, device: torch.device) -> Self:
+        """The same batch on a device."""
+        values = {name: getattr(self, name) for name in self.__slots__}
+        return replace(self, **{name: value.to(device) for name, value in values.items() if value is not None})
 
 
 def mirror_fields(fields: NDArray[np.float32]) -> NDArray[np.float32]:

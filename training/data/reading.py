@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from training.config import DataConfig
@@ -29,9 +30,15 @@ def decisions(samples: Samples, chosen: NDArray[np.int64], rng: np.random.Genera
 
 
 def epoch(
-    samples: Samples, chosen: NDArray[np.int64], size: int, rng: np.random.Generator, *, pictures: bool
+    samples: Samples,
+    chosen: NDArray[np.int64],
+    size: int,
+    rng: np.random.Generator,
+    device: torch.device,
+    *,
+    pictures: bool,
 ) -> Iterator[Batch]:
-    """Shuffled, augmented batches of one epoch."""
+    """Shuffled, augmented batches of one epoch, on the device."""
     order = rng.permutation(chosen)
     for start in range(0, len(order), size):
-        yield decisions(samples, order[start : start + size], rng, pictures=pictures)
+        yield decisions(samples, order[start : start + size], rng, pictures=pictures).to(device)

@@ -94,8 +94,8 @@ def _convolved(
             frames = decision_frames(source, table, int(trials[row]))
             reference = frames[:1].expand_as(frames)
             shift_px = (int(shifts[row, 0]), int(shifts[row, 1]))
-            images = difference_images(frames.flatten(0, 1), reference.flatten(0, 1), shift_px)
-            kept[row] = network.convolved(images).reshape(shape[1:]).half().numpy()
+            images = difference_images(frames.flatten(0, 1), reference.flatten(0, 1), shift_px).to(network.device)
+            kept[row] = network.convolved(images).reshape(shape[1:]).half().cpu().numpy()
             counter.write_text(str(row + 1))
     kept.flush()
     return kept

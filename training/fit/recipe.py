@@ -21,6 +21,7 @@ from training.data.dataset import SPLITS, Source, data_sha256, load_table, open_
 from training.data.labels import CLASSES, class_of
 from training.data.recipe_data import Rows, chosen_trials, decision_frames, load_rows
 from training.fit.checkpoint import Checkpoint
+from training.fit.device import on_device
 from training.fit.loop import Stage, fit
 from training.metrics.figures import Predictions, by_split
 from training.networks.alexnet import FEATURES, AlexNetLstm, AlexNetPair, difference_images, load_imagenet
@@ -31,7 +32,7 @@ NETWORK = NetworkConfig(kind="alexnet_lstm")
 
 def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoint:
     """Run the recipe, or resume it; raises ContractError on data or weights that do not fit."""
-    torch.set_num_threads(config.threads)
+    device = on_device(config)
     torch.manual_seed(config.seed)
     source = open_source(config.data) if source is None else source
     folder = config.folder
@@ -40,7 +41,7 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
     digest = data_sha256(source)
     table = load_table(source, Path(config.cache) / digest[:16], len(source))
     pin(folder, config, digest)
-    pair = AlexNetPair(NETWORK, len(CLASSES))
+    pair = AlexNetPair(NETWORK, len(CLASSES)).to(device)
     if config.imagenet:
         for network in (pair.direction, pair.magnitude):
             load_imagenet(network, Path(config.imagenet))
@@ -49,7 +50,7 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
     rows = load_rows(config, source, table, pair.direction)
     _fit_heads(config, "direction", pair.direction, rows)
     _fit_heads(config, "magnitude", pair.magnitude, rows)
-    return finish(config, pair, rows, digest)
+    return finish(config, pair.cpu(), rows, digest)
 
 
 # ---- convolutions --------------------------------------------------------------------------------------------------
@@ -70,7 +71,7 @@ class _FieldReader(nn.Module):
 
 def _pretrain(config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], pair: AlexNetPair) -> None:
     """Difference frame -> change of the marker field, on training trials; both networks then start from the result."""
-    reader = _FieldReader(pair.direction, int(np.prod(table["fields"].shape[3:])))
+    reader = _FieldReader(pair.direction, int(np.prod(table["fields"].shape[3:]))).to(pair.direction.device)
     chosen = chosen_trials(table, "train", config.pretraining_trials)
     held = chosen_trials(table, "validation", max(8, config.pretraining_trials // 10))
     fields = table["fields"][chosen].astype(np.float32)
@@ -79,7 +80,8 @@ def _pretrain(config: RecipeConfig, source: Source, table: dict[str, NDArray[Any
     def examples(trials: NDArray[np.int64]) -> Iterator[tuple[Tensor, Tensor]]:
         for start in range(0, len(trials), 2):
             parts = [_field_examples(source, table, int(trial), scale) for trial in trials[start : start + 2]]
-            yield torch.cat([part[0] for part in parts]), torch.cat([part[1] for part in parts])
+            images, change = (torch.cat(column).to(pair.direction.device) for column in zip(*parts, strict=True))
+            yield images, change
 
     def validate() -> dict[str, float]:
         errors = [functional.mse_loss(reader(images), target) for images, target in examples(held)]
@@ -120,8 +122,8 @@ def head_stage(
 ) -> Stage:
     """Train ``parameters`` on the final states [B, 340] that ``read`` gives for rows: on classes, or on errors."""
     train, held = rows.of("train"), rows.of("validation")
-    labels = torch.from_numpy(class_of(rows.error))
-    errors = torch.from_numpy(rows.error)
+    labels = torch.from_numpy(class_of(rows.error)).to(network.device)
+    errors = torch.from_numpy(rows.error).to(network.device)
 
     def batches(rng: np.random.Generator) -> Iterator[NDArray[np.int64]]:
         order = rng.permutation(train)
@@ -149,7 +151,7 @@ def _fit_heads(config: RecipeConfig, role: str, network: AlexNetLstm, rows: Rows
     parameters = [parameter for part in parts for parameter in part.parameters()]
 
     def read(chosen: NDArray[np.int64]) -> Tensor:
-        return network.read(_batch(rows, chosen))
+        return network.read(_batch(rows, chosen).to(network.device))
 
     stage = head_stage(role, getattr(config, role), network, rows, read, parameters)
     print(role, fit(network, stage, config.folder, config.seed))

@@ -25,6 +25,7 @@ from training.data.pressed import Pressed
 from training.data.reading import Samples, decisions, epoch, load
 from training.fit import parallel
 from training.fit.checkpoint import Checkpoint
+from training.fit.device import on_device
 from training.fit.expectations import of_errors
 from training.fit.loop import Stage, fit
 from training.fit.usual import learn_usual
@@ -69,12 +70,13 @@ class Trainer:
         if batch.length is None:
             return self.network.read_fields(fields, batch.geometry), batch.label, batch.error
         states = self.network.read_steps(fields, batch.geometry)
-        row, step = torch.nonzero(torch.arange(states.shape[1]) < batch.length[:, None], as_tuple=True)
+        asked = torch.arange(states.shape[1], device=states.device) < batch.length[:, None]
+        row, step = torch.nonzero(asked, as_tuple=True)
         return states[row, step], batch.label[row], batch.error[row]
 
     def front_loss(self, pair: tuple[Tensor, Tensor, Tensor]) -> Tensor:
         """Mean square error of the field change, in normalised units."""
-        frame, reference, change = pair
+        frame, reference, change = (part.to(self.network.device) for part in pair)
         assert self.network.front is not None
         return functional.mse_loss(self.network.front(frame, reference), self._scaled(change))
 
@@ -99,7 +101,8 @@ class Trainer:
         self.network.eval()
         with torch.inference_mode():
             for start in range(0, len(chosen), EVALUATION_BATCH):
-                batch = decisions(self.trials, chosen[start : start + EVALUATION_BATCH], None, pictures=pictures)
+                part = chosen[start : start + EVALUATION_BATCH]
+                batch = decisions(self.trials, part, None, pictures=pictures).to(self.network.device)
                 fields = self.normalised(batch) if batch.drawn is None else self.network.read_drawn(batch.drawn)
                 states.append(self._last(fields, batch))
         return torch.cat(states)
@@ -122,14 +125,14 @@ class Trainer:
         state = self.states(chosen, pictures=pictures)
         with torch.inference_mode():
             outputs = (self.network.logits(state), *self.network.error(state))
-        logits, error, log_sigma = (value.double().numpy() for value in outputs)
+        logits, error, log_sigma = (value.double().cpu().numpy() for value in outputs)
         truth = self.trials.error[chosen].astype(np.float64)
         return Predictions(logits, error, log_sigma, truth, self.trials.objects[chosen])
 
     def predict_density(self, chosen: NDArray[np.int64], *, pictures: bool) -> Densities:
         state = self.states(chosen, pictures=pictures)
         with torch.inference_mode():
-            density = self.network.log_density(state).double().numpy()
+            density = self.network.log_density(state).double().cpu().numpy()
         return Densities(density, self.trials.error[chosen], self.trials.objects[chosen])
 
     def score(self, chosen: NDArray[np.int64], *, pictures: bool) -> dict[str, float]:
@@ -145,11 +148,8 @@ class Trainer:
         """Front's mean square error on validation pictures; also stores the size of its error for the trunk."""
         assert isinstance(self.trials, Trials)
         front, rng = self.network.get_submodule("front"), np.random.default_rng(0)
-        residuals = [
-            front(frame, reference) - self._scaled(change)
-            for frame, reference, change in frame_pairs(self.trials, chosen, 256, rng)
-        ]
-        residual = torch.cat(residuals)
+        pairs = ([part.to(self.network.device) for part in pair] for pair in frame_pairs(self.trials, chosen, 256, rng))
+        residual = torch.cat([front(frame, reference) - self._scaled(change) for frame, reference, change in pairs])
         smooth = residual.mean((2, 3))
         self.front_error = torch.stack([(residual - smooth[:, :, None, None]).std((0, 2, 3)), smooth.std(0)])
         errors = self.front_error[0] / self.network.field_scale
@@ -164,7 +164,7 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
     """
     if not issubclass(network_class(config.network.kind), Decider):
         raise ContractError(f"network.kind is {config.network.kind}, which `python -m training recipe` trains")
-    torch.set_num_threads(config.threads)
+    device = on_device(config)
     torch.manual_seed(config.seed)
     folder = config.folder
     folder.mkdir(parents=True, exist_ok=True)
@@ -174,14 +174,14 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
             trials = load(config.data, config.network.kind, source)
             grounds = trials.sha256 + (_start(config, trials.sensor).weights_sha256() if config.start_from else "")
             pin(folder, config, grounds)  # only now: a mistyped data folder must not claim the run's
-        trainer = _prepare(config, trials)
+        trainer = _prepare(config, trials, device)
         for stage in _stages(trainer):
             if stage.config.epochs:
                 _run(trainer, stage, folder)
         return _finish(trainer, folder)
 
 
-def _prepare(config: RunConfig, trials: Samples) -> Trainer:
+def _prepare(config: RunConfig, trials: Samples, device: torch.device) -> Trainer:
     for split in ("train", "validation"):
         if not len(trials.of(split)):
             raise ContractError(f"the dataset has no collisions in its {split} split")
@@ -193,7 +193,8 @@ def _prepare(config: RunConfig, trials: Samples) -> Trainer:
     counts = np.bincount(class_of(trials.error[trials.of("train")]), minlength=len(CLASSES)).clip(1)
     weights = (counts.sum() / counts) ** config.loss.class_weight_power
     weights = weights / (weights * counts).sum() * counts.sum()
-    return Trainer(config, trials, network, torch.tensor(weights, dtype=torch.float32), torch.full((2, 3), 0.1))
+    class_weights = torch.tensor(weights, dtype=torch.float32, device=device)
+    return Trainer(config, trials, network.to(device), class_weights, torch.full((2, 3), 0.1, device=device))
 
 
 def _start(config: RunConfig, sensor: Sensor) -> Checkpoint:
@@ -219,7 +220,7 @@ def _stages(trainer: Trainer) -> list[Stage]:
         "trunk",
         config.trunk,
         decision,
-        batches=lambda rng: epoch(trials, everything, config.trunk.batch, rng, pictures=False),
+        batches=lambda rng: epoch(trials, everything, config.trunk.batch, rng, network.device, pictures=False),
         batches_per_epoch=-(-len(everything) // config.trunk.batch),
         loss=trainer.trunk_loss,
         validate=lambda: trainer.score(held, pictures=False),
@@ -239,7 +240,7 @@ def _stages(trainer: Trainer) -> list[Stage]:
         "tune",
         config.tune,
         list(network.parameters()),
-        batches=lambda rng: epoch(trials, drawn, config.tune.batch, rng, pictures=True),
+        batches=lambda rng: epoch(trials, drawn, config.tune.batch, rng, network.device, pictures=True),
         batches_per_epoch=-(-len(drawn) // config.tune.batch),
         loss=trainer.tune_loss,
         validate=lambda: trainer.score(held_drawn, pictures=True),
@@ -257,7 +258,8 @@ def _run(trainer: Trainer, stage: Stage, folder: Path) -> None:
 
 
 def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
-    """Calibrate on validation, score every split (on pictures where there are any), save."""
+    """Calibrate on validation, score every split (on pictures where there are any), save; on the CPU, as released."""
+    trainer.network.cpu()
     pictures = len(trainer.trials.of("validation", rendered=True)) > 0
     scales, tables = _scored(trainer, trainer.predict, pictures=pictures)
     joint_scales, joint_tables = _scored(trainer, trainer.predict_density, pictures=pictures)

@@ -93,6 +93,11 @@ class AlexNetLstm(nn.Module):
         reach = torch.tensor([HIDDEN_REACH, CELL_REACH]).repeat_interleave(LSTM)
         self.register_buffer("state_reach", reach, persistent=False)
 
+    @property
+    def device(self) -> torch.device:
+        """Where its weights are."""
+        return self.log_sigma.device
+
     def convolved(self, images: Tensor) -> Tensor:
         """Difference images [N, 3, 224, 224] -> frozen features [N, 9216]."""
         return self.alexnet.features(images).flatten(1)  # type: ignore[no-any-return]

@@ -76,8 +76,8 @@ class CompactNetwork(Decider):
     def disturbed(self, fields: Tensor, front_error: Tensor) -> Tensor:
         """Add white and smooth error of the front's measured size."""
         white = torch.randn_like(fields)
-        smooth = torch.randn(*fields.shape[:-2], 1, 1)
-        strength = torch.rand(fields.shape[0], 1, 1, 1, 1, 1) * 1.5
+        smooth = torch.randn(*fields.shape[:-2], 1, 1, device=fields.device)
+        strength = torch.rand(fields.shape[0], 1, 1, 1, 1, 1, device=fields.device) * 1.5
         spread = front_error[:, :, None, None]
         return fields + strength * (white * spread[0] + smooth * spread[1])
 

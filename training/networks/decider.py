@@ -94,6 +94,11 @@ class Decider(nn.Module):
         """Front of a network that reads pictures; it is trained first, on true fields."""
         self.register_buffer("field_scale", torch.ones(FIELD_CHANNELS))
 
+    @property
+    def device(self) -> torch.device:
+        """Where its weights are."""
+        return self.field_scale.device
+
     def grid(self, sensor: Sensor) -> tuple[int, int]:
         return sensor.marker_rows, sensor.marker_columns
 

@@ -48,13 +48,13 @@ class MarkerNetwork(Decider):
 
     def disturbed(self, fields: Tensor, front_error: Tensor) -> Tensor:  # noqa: ARG002 the tracker's error is known
         """Add the tracker's error on every frame but the first, and lost markers."""
-        count = fields.shape[0]
-        spread = torch.rand(count, 1, 1, 1, 1, 1) * TRACKING_PX * self.mm_per_px * self.field_scale[:2, None, None]
+        one = torch.empty(fields.shape[0], 1, 1, 1, 1, 1, device=fields.device)
+        spread = torch.rand_like(one) * TRACKING_PX * self.mm_per_px * self.field_scale[:2, None, None]
         error = torch.randn_like(fields[..., :2, :, :])
-        misled = torch.rand_like(fields[..., 2:, :, :]) < MISLED_SHARE * 2.0 * torch.rand(count, 1, 1, 1, 1, 1)
+        misled = torch.rand_like(fields[..., 2:, :, :]) < MISLED_SHARE * 2.0 * torch.rand_like(one)
         moved = fields[..., :2, :, :] * (1.0 + misled * torch.randn_like(fields[..., 2:, :, :]))
         moved = moved + spread * (error - error[:, :1])
-        lost = LOST_SHARE * 2.0 * torch.rand(count, 1, 1, 1, 1, 1)
+        lost = LOST_SHARE * 2.0 * torch.rand_like(one)
         visible = (torch.rand_like(fields[..., 2:, :, :]) >= lost).to(fields.dtype)
         return torch.cat([moved * visible, visible], -3)
 

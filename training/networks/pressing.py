@@ -70,7 +70,7 @@ class PressingNetwork(Decider):
         """One step; ``geometry`` [B, 6] as `CONDITIONS`, 0 where unknown."""
         count = SHARES.stop - SHARES.start + 1
         known = (geometry > 0).to(geometry.dtype)
-        usual = torch.tensor(USUAL, dtype=geometry.dtype)
+        usual = torch.tensor(USUAL, dtype=geometry.dtype, device=geometry.device)
         log_ratios = known * torch.log(geometry.clamp_min(LEAST) / usual)
         reach = geometry[:, 3:4].clamp_min(0.02) * self.field_scale[:1]
         shares = torch.tanh(features[:, -count:-1] / reach) * known[:, 3:4]
@@ -94,7 +94,7 @@ class PressingNetwork(Decider):
         """States [B, T, S] after each step of normalised fields [B, T, 2, 3, rows, columns]."""
         count, steps = fields.shape[:2]
         features = self.encode(fields.flatten(0, 1)).reshape(count, steps, -1)
-        state, states = torch.zeros(count, self.state_size), []
+        state, states = torch.zeros(count, self.state_size, device=fields.device), []
         for step in range(steps):
             state = self.advance(features[:, step], geometry, state)
             states.append(state)

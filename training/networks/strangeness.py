@@ -51,7 +51,7 @@ def alike(fields: Tensor) -> Tensor:
     Only points count that both fingers show. The right finger's field is mirrored: it faces the left one.
     """
     both = fields[:, :1, 2:] * fields[:, 1:, 2:].flip(-1)
-    right = fields[:, 1:, :2].flip(-1) * torch.tensor([-1.0, 1.0])[:, None, None]
+    right = fields[:, 1:, :2].flip(-1) * torch.tensor([-1.0, 1.0], device=fields.device)[:, None, None]
     moved = torch.cat([fields[:, :1, :2], right], 1) * both
     squares = moved.square().mean((2, 3, 4)) + LEAST**2
     square = squares.mean(1, keepdim=True)

@@ -79,6 +79,8 @@ def test_the_step_form_decides_as_the_sequence_form(network):
 
 
 class Ones(torch.nn.Module):
+    device = torch.device("cpu")
+
     def convolved(self, images):
         return torch.ones(len(images), FEATURES)
 
