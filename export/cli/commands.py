@@ -1,16 +1,15 @@
 """Export, verify and measure networks: ``python -m export onnx runs/compact/checkpoint.pt --out models/``."""
 
 import math
-import sys
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
 from service.contract import ContractError
-from service.contract.text import fitted, read_by_somebody
+from service.contract.text import fitted
+from training.cli.commands import run_one_of
 
 
 def _positive(**options: float) -> None:
@@ -82,17 +81,4 @@ def benchmark(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; invalid input gives one line on standard error and exit code 2."""
-    try:
-        commands: dict[str, Callable[..., Any]] = {
-            "onnx": onnx,
-            "verify": verify,
-            "benchmark": benchmark,
-        }
-        parse = partial(tyro.extras.subcommand_cli_from_dict, commands, args=arguments, prog="tactile-insertion")
-        return read_by_somebody(lambda: int(parse() or 0))
-    except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"{(arguments or sys.argv[1:])[0]}: interrupted", file=sys.stderr)
-        return 130
+    return run_one_of({"onnx": onnx, "verify": verify, "benchmark": benchmark}, arguments, "interrupted")

@@ -188,7 +188,7 @@ class ModelCard(Contract):
     sensor: Sensor | None = None
     frames_per_decision: int = Field(ge=1, le=64)
     state_size: int = Field(ge=0, default=0)
-    reference_rule: Literal["first_of_sequence", "before_onset"] = "first_of_sequence"
+    reference_rule: Literal["first_of_sequence"] = "first_of_sequence"
     classes: tuple[ErrorClass, ...]
     threshold_x_mm: Positive = 2.5
     threshold_theta_deg: Positive = 5.0
@@ -273,7 +273,6 @@ class ModelCard(Contract):
             "pressing",
             "profile",
             "frames_per_decision",
-            "reference_rule",
             "threshold_x_mm",
             "threshold_theta_deg",
             "form",

@@ -226,7 +226,7 @@ class Attempt:
         after = [max(o.captured_ns for o in pair.fingers) >= self.onset_ns for pair in self.ring]
         return after.index(True) if any(after) else None
 
-    def take_decision_pairs(self, frames_n: int, reference_rule: str) -> list[PairObservation]:
+    def take_decision_pairs(self, frames_n: int) -> list[PairObservation]:
         """The pairs that became part of the decision since the last call; sets the networks' reference at onset."""
         if len(self.decision_pairs) >= frames_n:
             return []
@@ -236,10 +236,8 @@ class Attempt:
             index = self.onset_index()
             if index is None:
                 return []
-            pairs = list(self.ring)
-            before = pairs[index - 1] if index else self.reference
-            self.network_reference = pairs[index] if reference_rule == "first_of_sequence" else before
-            fresh = pairs[index : index + frames_n]
+            fresh = list(self.ring)[index : index + frames_n]
+            self.network_reference = fresh[0]
         self.decision_pairs += fresh
         return fresh
 

@@ -33,7 +33,7 @@ def plan(models: ModelSet, attempt: Attempt) -> list[Work]:
     card = models.card
     if card.pressing:
         return plan_steps(models, attempt)
-    pairs = attempt.take_decision_pairs(card.frames_per_decision, card.reference_rule)
+    pairs = attempt.take_decision_pairs(card.frames_per_decision)
     return [plan_work(models, attempt, pair) for pair in pairs]
 
 

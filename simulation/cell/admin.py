@@ -6,17 +6,14 @@ from typing import Any
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse
 
-from simulation.cell.emulators.faults import FaultBoard, FaultError, Faults
+from simulation.cell.emulators.faults import FaultBoard, FaultError
 
 
 def create_admin(
     readings: dict[str, Callable[[], Any]],
     board: FaultBoard,
 ) -> FastAPI:
-    """Serve ``GET /NAME`` for each reading, ``GET /healthz``, and the faults.
-
-    ``GET|POST|DELETE /faults``, ``GET /faults/schema``.
-    """
+    """Serve ``GET /NAME`` for each reading, ``GET /healthz``, and ``GET|POST|DELETE /faults``."""
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
 
     @app.get("/healthz")
@@ -29,10 +26,6 @@ def create_admin(
     @app.get("/faults")
     async def faults() -> dict[str, Any]:
         return board.faults.model_dump()
-
-    @app.get("/faults/schema")
-    async def schema() -> dict[str, Any]:
-        return Faults.model_json_schema()
 
     @app.post("/faults")
     async def change(request: Request) -> Response:

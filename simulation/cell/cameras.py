@@ -2,7 +2,6 @@
 
 import asyncio
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -28,7 +27,6 @@ class CameraFeed:
         self._draw = draw
         self._loop = loop
         self._waiting: Exposure | None = None
-        self._shot_s = -1.0
         self._frozen: Image | None = None  # the last picture drawn
         self._wake = threading.Condition()
         self._stopped = False
@@ -50,11 +48,6 @@ class CameraFeed:
         with self._wake:
             self._waiting = exposure
             self._wake.notify()
-
-    @property
-    def idle(self) -> bool:
-        """True when nobody watches and the last shot is recent: the snapshot stays fresh at two frames per second."""
-        return not self._camera.watched and time.monotonic() - self._shot_s < 0.5
 
     def shoot(self, exposure: Exposure) -> Shot:
         """Draw and encode one exposure, with this camera's faults."""
@@ -82,11 +75,8 @@ class CameraFeed:
     def _run(self) -> None:
         try:
             while (exposure := self._next()) is not None:
-                if self.idle:
-                    continue
-                self._shot_s = time.monotonic()
-                shot = self.shoot(exposure)
-                asyncio.run_coroutine_threadsafe(self._camera.publish(shot), self._loop)
+                if self._camera.watched:
+                    asyncio.run_coroutine_threadsafe(self._camera.publish(self.shoot(exposure)), self._loop)
         except BaseException as error:  # reported by the cell's main, which ends
             self.error = error
 

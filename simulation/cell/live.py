@@ -1,7 +1,7 @@
 """The cell in real time on loopback: robot, gripper and cameras as sockets, one physics behind them, and ground truth.
 
-Everything listens on 127.0.0.1 only. The arm starts 10 mm above the approach pose with the object in its fingers (or
-standing between the open fingers, ``--gripper open``), motors off and RAPID stopped: the client starts them.
+Everything listens on 127.0.0.1 only. The arm starts 10 mm above the approach pose with the object standing between its
+open fingers, motors off and RAPID stopped: the client starts them.
 """
 
 import asyncio
@@ -14,7 +14,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,10 +41,8 @@ from simulation.cell.options import CellOptions
 from simulation.cell.world import HeldPart, Mechanics, World
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM
 
-APPROACH_MM = 5.0  # the object's bottom above the block tops at the approach pose
 LIFT_MM = 10.0  # height of the start above the approach pose
 TRACE_N = 30_000  # TCP heights, 250 per second: two minutes
-INSERTION_MM = 20.0  # depth of the object's bottom in the gap at which it counts as inserted
 
 
 class Plant(NamedTuple):
@@ -56,6 +54,7 @@ class Plant(NamedTuple):
     start: Pose  # TCP at the approach pose
     part_width_mm: float
     gap_width_mm: float
+    full_depth_mm: float  # of a descent from there
     save_calibration: Callable[[Path], None]
     sensor: Sensor
     fps: float
@@ -120,11 +119,10 @@ class LiveCell:
         self.gate = Gate(self.board)
         self.rws = HttpServer(create_app(self.cabinet, self.frames, self.gate), self.sockets.rws)
         self.gate.abort = self.rws.abort
-        held = options.gripper == "held"
-        self.world = World(plant.mechanics, plant.regrasp, self._pose, sensor=plant.sensor, fps=plant.fps, held=held)
+        self.world = World(plant.mechanics, plant.regrasp, self._pose, sensor=plant.sensor, fps=plant.fps, held=False)
         self.world.on_unsolved = self._supervise
         self.part = HeldPart(self.world, plant.part_width_mm, self._pose, at_start, fed=options.feed)
-        self.gripper = Gripper(self.part, self.board, holding=held)
+        self.gripper = Gripper(self.part, self.board, holding=False)
         self.wsg = Wsg50Emulator(self.gripper, self.board, options.gripper_udp_remote_port)
         self.cameras = {finger: CameraEmulator(finger, self.board, plant.dropped_share) for finger in FINGERS}
         readings = {"truth": self.truth, "glance": self.glance, "trace": self.way}
@@ -213,7 +211,7 @@ class LiveCell:
             "calibration": str(calibration),
             "object": self.options.object,
             "gap_width_mm": self.plant.gap_width_mm,
-            "expected_depth_mm": APPROACH_MM + INSERTION_MM,
+            "expected_depth_mm": self.plant.full_depth_mm,
             "creep_allowance_mm": CREEP_ALLOWANCE_MM,
             "approach": {"x_mm": x, "y_mm": y, "z_mm": z, "yaw_deg": self.plant.start.yaw_deg},
             "home": {"x_mm": x, "y_mm": y, "z_mm": z + LIFT_MM, "yaw_deg": self.plant.start.yaw_deg},
@@ -230,17 +228,15 @@ class LiveCell:
         return {"z_mm": self.cabinet.arm.pose.position_mm[2], "touches": state is not None and bool(state.in_contact)}
 
     async def truth(self) -> dict[str, Any]:
-        """Data that only a simulator knows, and counts of what went over the wires."""
-        arm, state, course = self.cabinet.arm, self.world.state, self.world.course
+        """Data that only a simulator knows."""
+        arm, state = self.cabinet.arm, self.world.state
         truth: dict[str, Any] = {
             "tcp": {"position_mm": arm.pose.position_mm, "yaw_deg": arm.pose.yaw_deg, "tilt_deg": arm.pose.tilt_deg},
             "moving": not arm.at_rest,
             "controller": {"state": self.cabinet.state, "running": self.cabinet.running, "egm": self.cabinet.egm},
             "gripper": {"state": self.gripper.state.name, "width_mm": self.gripper.width_mm, "held": self.world.held},
             "stops": [stop.as_dict() for stop in self.stop_watch.stops],
-            "egm": {f.name: getattr(self.egm.counters, f.name) for f in fields(self.egm.counters)},
-            "wsg": {f.name: getattr(self.wsg.counters, f.name) for f in fields(self.wsg.counters)},
-            "course": {f.name: getattr(course, f.name) for f in fields(course)},
+            "course": asdict(self.world.course),
             "camera_drawn_ns": [feed.drawn_ns for feed in self.feeds],
         }
         if state is not None:

@@ -4,7 +4,6 @@ import sys
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -38,8 +37,6 @@ class CellOptions:
     """Camera rate: 30, 60 or 90; the sensor's if left out."""
     egm_lag_ms: float = 20.0
     """First-order lag of the arm behind the guide."""
-    gripper: Literal["held", "open"] = "open"
-    """Whether the object stands in its fixture between the open fingers at the start, or is already held."""
     feed: bool = False
     """Put a new object into the fixture each time the arm is back there, and another box below the gap."""
     world: str | None = None

@@ -22,7 +22,7 @@ from simulation.cell.config import client_config
 from simulation.cell.emulators.net import HOST, free_port
 from simulation.cell.options import draw_start
 from simulation.cell.run_report import Result
-from simulation.scene.worlds import load_scene, load_world, training_objects
+from simulation.scene.worlds import load_scene, load_world
 
 CELL_READY_S = 300.0  # the first start on a machine compiles the physics
 SERVICE_READY_S = 90.0
@@ -38,7 +38,7 @@ class RunOptions:
     """Insert an object in the simulated cell, in real time, through the real protocols."""
 
     object: str = "rectangle"
-    """A name, a TOML file, or "all" for the training objects."""
+    """A name or a TOML file."""
     world: str | None = None
     """A world file: gel, grasp, blocks, cameras (see docs/worlds.md); the project's own cell if left out."""
     x_mm: float | None = None
@@ -53,8 +53,6 @@ class RunOptions:
     """Folder with the networks."""
     out: Path = Path("runs")
     """Folder for the runs."""
-    repeat: int = 1
-    """Number of starts per object, with increasing seeds."""
     fps: int | None = None
     """Camera rate: 30, 60 or 90; the sensor's if left out."""
     egm_lag_ms: float = 20.0
@@ -77,25 +75,19 @@ class Start:
     seed: int
 
 
-def starts(options: RunOptions) -> list[Start]:
-    """The insertions to do; raises SceneError or RunError before anything starts."""
-    if options.repeat < 1:
-        raise RunError(f"--repeat {options.repeat}: expected 1 or more")
+def start_of(options: RunOptions) -> Start:
+    """The insertion to do; raises SceneError or RunError before anything starts."""
     if not options.timeout_s > 0:
         raise RunError(f"--timeout-s {options.timeout_s}: expected more than 0")
     if not options.models.is_dir():
         raise RunError(f"--models {options.models}: no such folder; it holds the .onnx files of the service")
-    planned = []
-    for name in training_objects() if options.object == "all" else (options.object,):
-        scene = load_scene(name)
-        if options.world:
-            scene = load_world(options.world).around(scene)
-        for seed in range(options.seed, options.seed + options.repeat):
-            x_mm, theta_deg = draw_start(scene, seed)
-            x_mm = x_mm if options.x_mm is None else options.x_mm
-            theta_deg = theta_deg if options.theta_deg is None else options.theta_deg
-            planned.append(Start(name, x_mm, theta_deg, seed))
-    return planned
+    scene = load_scene(options.object)
+    if options.world:
+        scene = load_world(options.world).around(scene)
+    x_mm, theta_deg = draw_start(scene, options.seed)
+    x_mm = x_mm if options.x_mm is None else options.x_mm
+    theta_deg = theta_deg if options.theta_deg is None else options.theta_deg
+    return Start(options.object, x_mm, theta_deg, options.seed)
 
 
 def _say(text: str) -> None:

@@ -65,7 +65,6 @@ class Course:
     max_block_shift_mm: float = 0.0
     max_block_tilt_deg: float = 0.0
     max_force_n: float = 0.0
-    frames: int = 0
 
 
 class World:
@@ -212,7 +211,6 @@ class World:
 
     def _note(self) -> None:
         course, state = self.course, self.state
-        course.frames += 1
         if state is None:
             return
         motion = np.abs(np.asarray(state.block_motion, float))

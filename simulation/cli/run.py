@@ -4,24 +4,20 @@ import contextlib
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import tyro
 
-from reporting.statistics import mean
-from reporting.table import table
 from service.contract.text import fitted
 from simulation.cell import film, run_report
 from simulation.cell.children import ChildError, terminate_as_interrupt
 from simulation.cell.demo import DemoOptions, lines
 from simulation.cell.options import warn_of_keys_without_effect
-from simulation.cell.run import RunOptions, Start, insert, starts
+from simulation.cell.run import RunOptions, Start, insert, start_of
 from simulation.cell.run_report import Result
 from simulation.scene.worlds import load_scene
-
-FAILED_COUNTS_AS = 16
 
 
 @dataclass(frozen=True)
@@ -29,31 +25,29 @@ class RunCommand(RunOptions):
     """Options that only the command line has."""
 
     json: bool = False
-    """Print the results as JSON, all other output to standard error."""
+    """Print the result as JSON, in a list, all other output to standard error."""
 
 
 def run(arguments: list[str]) -> int:
-    """Run the whole loop: exit 0 if every insertion succeeded, 1 if one did not, 2 on invalid input."""
+    """Run the whole loop: exit 0 if the insertion succeeded, 1 if it did not, 2 on invalid input."""
     options = tyro.cli(RunCommand, args=arguments, prog="tactile-insertion run", description=run.__doc__)
-    todo = starts(options)
+    start = start_of(options)
     warn_of_keys_without_effect(options.world)
 
-    def insert_all() -> int:
+    def work() -> int:
         with contextlib.redirect_stdout(sys.stderr) if options.json else contextlib.nullcontext():
-            results = [_insert(start, options) for start in todo]
-            if len(results) > 1:
-                print(_overview(results), flush=True)
+            result = _insert(start, options)
         if options.json:
-            print(json.dumps([asdict(result) for result in results]))
-        return 0 if all(result.inserted for result in results) else 1
+            print(json.dumps([asdict(result)]))
+        return 0 if result.inserted else 1
 
-    return exit_status("run", insert_all)
+    return exit_status("run", work)
 
 
 def demo(arguments: list[str]) -> int:
     """Insert one object after another until Ctrl-C, with the page; exit 1 if a process failed."""
     options = tyro.cli(DemoOptions, args=arguments, prog="tactile-insertion demo", description=demo.__doc__)
-    (start,) = starts(replace(options, repeat=1))
+    start = start_of(options)
     warn_of_keys_without_effect(options.world)
     folder = _folder(options, start)
 
@@ -96,17 +90,3 @@ def _folder(options: RunOptions, start: Start) -> Path:
     while folder.exists():
         folder, k = options.out / f"{stem}-{k}", k + 1
     return folder
-
-
-def _overview(results: Sequence[Result]) -> str:
-    names = dict.fromkeys(result.object_name for result in results)
-    groups = [[result for result in results if result.object_name == name] for name in names]
-    attempts = [[row.attempts if row.inserted else FAILED_COUNTS_AS for row in rows] for rows in groups]
-    return table(
-        zip(names, groups, attempts, strict=True),
-        ("object", 0),
-        ("inserted", lambda row: f"{sum(result.inserted for result in row[1])}/{len(row[1])}"),
-        ("mean attempts", lambda row: mean(row[2]).value, ".2f"),
-        ("most", lambda row: max(row[2]), "d"),
-        ("blocks moved mm", lambda row: max(result.blocks_moved_mm for result in row[1]), ".2f"),
-    ).text()

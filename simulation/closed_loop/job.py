@@ -118,25 +118,15 @@ def job_in(world: World, scene: str, index: int, start: tuple[float, float], see
 
 @dataclass(slots=True)
 class Course:
-    """Motion of object and blocks so far; lengths in mm, angles in deg.
-
-    ``in_hand_mm`` is the object's largest displacement in the hand since the grasp (elastic and slipped),
-    ``slipped_mm`` the part of it that remained once the object was in the air again.
-    """
+    """The blocks' largest displacement and the largest force on the object so far."""
 
     block_mm: float = 0.0
-    block_tilt_deg: float = 0.0
-    in_hand_mm: float = 0.0
-    slipped_mm: float = 0.0
     force_n: float = 0.0
-    unsolved: int = 0
 
-    def take_in(self, state: CellState, in_hand_mm: float) -> None:
-        """Take in the next state of the cell, the object displaced in the hand by ``in_hand_mm``."""
+    def take_in(self, state: CellState) -> None:
+        """Take in the next state of the cell."""
         blocks = state.block_motion
-        self.in_hand_mm = max(self.in_hand_mm, in_hand_mm)
         self.block_mm = max(self.block_mm, float(np.hypot(blocks[:, 0], blocks[:, 1]).max()))
-        self.block_tilt_deg = max(self.block_tilt_deg, float(blocks[:, 3].max()))
         self.force_n = max(self.force_n, float(np.linalg.norm(state.wrench_n_nmm[:3])))
 
 

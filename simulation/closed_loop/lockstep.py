@@ -62,14 +62,13 @@ class LockstepCell:
     course: Course = field(default_factory=Course)
     speed_mm_s: float = field(init=False)
     stands_s: float = math.inf  # from then on a descent stands, its lease being over
-    _grasped: NDArray[np.float64] = field(init=False)
     _stuck: int = 0
     _law: Walk | None = None
     _walked_s: float = 0.0
 
     def __post_init__(self) -> None:
         self.state = self.physics.look()
-        self._grasped, self.speed_mm_s = self.state.in_hand[:3].copy(), self.scene.speed_mm_s
+        self.speed_mm_s = self.scene.speed_mm_s
         self.shots = deque(maxlen=2 + math.floor(self._late_periods))
         self._rest()
 
@@ -126,15 +125,12 @@ class LockstepCell:
             pass
         self.physics.pace_mm_s = self.speed_mm_s
         self._rest()
-        if not self.state.in_contact:
-            self.course.slipped_mm = max(self.course.slipped_mm, self._in_hand_mm())
         self.now_ns += round(duration_s * 1e9)
 
     def take_afresh(self, x_mm: float, y_mm: float, yaw_deg: float, duration_s: float) -> None:
         """Put the object back into its fixture, regrasp it upright and return above that place. Raises PhysicsError."""
         self.physics.regrasp(0.0, 0.0)
         self.state = self.physics.look()
-        self._grasped = self.state.in_hand[:3].copy()
         self.travel(x_mm, y_mm, self.misplaced.approach[2], yaw_deg, duration_s)
 
     def descend(self, bottom_z_mm: float, law: Walk | None = None) -> None:
@@ -274,17 +270,13 @@ class LockstepCell:
         try:
             state = motion()
         except PhysicsError:
-            self.course.unsolved += 1
             self._stuck += 1
             if self._stuck > MAX_UNSOLVED:
                 raise
             return False
         self._stuck, self.state = 0, state
-        self.course.take_in(state, self._in_hand_mm())
+        self.course.take_in(state)
         return True
-
-    def _in_hand_mm(self) -> float:
-        return float(np.linalg.norm(self.state.in_hand[:3] - self._grasped))
 
 
 def _pose_of(physics: Cell) -> Pose:

@@ -25,9 +25,9 @@ def trials_of(row: Row) -> int:
     return int(row["attempts"]) if row["inserted"] else FAILED_COUNTS_AS
 
 
-def class_of(x_mm: float, theta_deg: float, t_x_mm: float = 2.5, t_theta_deg: float = 5.0) -> str:
+def class_of(x_mm: float, theta_deg: float) -> str:
     """The error class of a true error."""
-    signs = (_sign(x_mm, t_x_mm), _sign(theta_deg, t_theta_deg))
+    signs = (_sign(x_mm, 2.5), _sign(theta_deg, 5.0))
     return next(name for name, pair in SIGNS.items() if pair == signs)
 
 

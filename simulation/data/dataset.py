@@ -69,12 +69,6 @@ class DatasetWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def write_shard(self, name: str, trials: Sequence[Trial]) -> ShardEntry:
-        """Write one shard durably, without listing it yet."""
-        entry, data = encode_shard(name, trials)
-        write_durably(self.path / name, data)
-        return entry
-
     def commit(self, entry: ShardEntry) -> None:
         """List a shard that is on disk. Each name is listed once."""
         if any(listed.name == entry.name for listed in self.manifest.shards):

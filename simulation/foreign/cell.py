@@ -19,13 +19,13 @@ from simulation.foreign.surface import HeldSurface
 from simulation.foreign.yielding import Creep
 from simulation.scene.effects import Active, active_effects
 from simulation.scene.ground_truth import Pose, reasons_against
-from simulation.scene.scene import Scene
+from simulation.scene.scene import APPROACH_MM, Scene
 from simulation.scene.state import CellState, PhysicsError, TouchingError
 
 Array = NDArray[np.float64]
 
 TOLERANCE_N = 1e-7
-APPROACH_MM, CLEAR_MM = 5.0, 50.0
+CLEAR_MM = 50.0
 CLOSING_STEPS = 6
 TOUCH_MM = 0.05  # how far the fingers close beyond first touch before they push
 THROUGH = 0.9  # share of the thickness: beyond it small-strain theory has no meaning

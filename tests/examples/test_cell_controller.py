@@ -13,10 +13,19 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from simulation.studies.motion_bounds.relay import Relay
 from tests.examples.cell import EXAMPLE, SLOW_MM_S, Cell, controller, stands, started
-from tests.examples.proxy import Proxy
 from tests.examples.tiny_arm import TinyArm
 from tests.service.mjpeg import FakeFinger
+
+
+class Proxy(Relay):
+    """A link to the service on which somebody may also speak in its name."""
+
+    def inject(self, text: str) -> None:
+        client, content = self._writers[-2], text.encode()
+        assert len(content) < 126
+        self._loop.call_soon_threadsafe(client.write, bytes((0x81, len(content))) + content)
 
 
 @pytest.fixture(scope="module")
@@ -109,9 +118,9 @@ FAULTS = {
     "camera frozen beneath fresh noise": (camera("repeated"), "unwatched|no_reference|turned_in_hand"),
     "camera black": (camera("black"), "unwatched|no_reference|turned_in_hand"),
     "camera late by a second": (camera("late"), "unwatched|no_reference|turned_in_hand"),
-    "link half open": (lambda _, proxy: proxy.hang(), "unwatched"),
-    "link dripping byte by byte": (lambda _, proxy: proxy.drip(), "unwatched"),
-    "link cut": (lambda _, proxy: proxy.cut(), "no close frame"),
+    "link half open": (lambda _, proxy: proxy.misbehave("half open"), "unwatched"),
+    "link dripping byte by byte": (lambda _, proxy: proxy.misbehave("drip"), "unwatched"),
+    "link cut": (lambda _, proxy: proxy.misbehave("reset"), "no close frame"),
     "nonsense": (lambda _, proxy: proxy.inject("nonsense"), "Expecting value"),
     "frame of tomorrow": (
         lambda _, proxy: proxy.inject(
@@ -135,11 +144,11 @@ FAULTS = {
 )
 def test_a_fault_in_mid_descent_stops_the_arm(cell, fault):
     cause, expected = FAULTS[fault]
-    proxy = Proxy(cell.service.port)
+    proxy = Proxy.to(cell.service.url(""))
     arm = TinyArm(trouble=lambda: cause(cell, proxy))
     try:
         with pytest.raises(Exception) as raised:
-            cell.insert(arm, proxy.port)
+            cell.insert(arm, proxy.own_port)
         stands(arm, FIRST_COPY_MM if "fresh noise" in fault else 0.0)
         assert re.search(expected, f"{getattr(raised.value, 'cause', '')} {raised.value}")
     finally:
@@ -208,12 +217,12 @@ def test_nothing_moves_in_an_attempt_that_is_refused(cell):
 
 
 def test_an_object_that_has_turned_in_the_hand_is_handed_over_to_a_person_and_gone_on_with(cell):
-    proxy, arm = Proxy(cell.service.port), TinyArm()
+    proxy, arm = Proxy.to(cell.service.url("")), TinyArm()
     refusal = {"type": "refused", "reason": "turned_in_hand", "detail": "by about 1.4 deg"}
     arm.width_mm = lambda: proxy.inject(json.dumps(refusal))
     try:
         with pytest.raises(controller.Held, match=r"turned_in_hand: .*continues='turning'"):
-            cell.insert(arm, proxy.port, name="turning")
+            cell.insert(arm, proxy.own_port, name="turning")
     finally:
         proxy.close()
     stands(arm)

@@ -19,12 +19,6 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
     return error
 
 
-def test_a_public_address_needs_a_token() -> None:
-    with pytest.raises(SettingsError, match="--token-drive"):
-        read_settings([*CAMERAS, "--host", "0.0.0.0"])
-    assert read_settings([*CAMERAS, "--host", "0.0.0.0", "--token-drive", SECRET]).host == "0.0.0.0"
-
-
 @pytest.mark.parametrize("token", ["", "short", "fifteen-letters", "sixteen letters and spaces", "sixteen-lettérs-"])
 @pytest.mark.parametrize("role", ["drive", "watch", "admin"])
 def test_a_token_that_is_no_secret_is_refused_in_a_sentence(

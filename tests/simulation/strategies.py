@@ -1,10 +1,12 @@
 """Synthetic trials for tests that need no physics."""
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from simulation.data.dataset import Manifest, Trial
+from simulation.data.dataset import DatasetWriter, Manifest, ShardEntry, Trial, encode_shard
 from simulation.optics.appearance import Appearance
 
 
@@ -48,3 +50,21 @@ def made_up_manifest(**changes: Any) -> Manifest:
         "scenes": {"rectangle": "0" * 64},
     }
     return Manifest(**(fields | changes))
+
+
+def made_up_dataset(folder: Path, trials: Sequence[Trial], trials_per_shard: int = 12) -> Path:
+    """A finished dataset of these trials; the folder."""
+    sizes = {"trials_per_object": len(trials), "trials_per_shard": trials_per_shard}
+    with DatasetWriter(folder, made_up_manifest(**sizes)) as writer:
+        for shard, first in enumerate(range(0, len(trials), trials_per_shard)):
+            name = f"rectangle-{shard:05d}.parquet"
+            writer.commit(written(folder / name, trials[first : first + trials_per_shard]))
+        assert writer.finish()
+    return folder
+
+
+def written(path: Path, trials: Sequence[Trial]) -> ShardEntry:
+    """A shard on disk that no manifest lists yet."""
+    entry, data = encode_shard(path.name, trials)
+    path.write_bytes(data)
+    return entry

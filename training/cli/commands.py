@@ -169,23 +169,30 @@ def print_table(figures: dict[str, dict[str, float]]) -> None:
         print(fitted(f"{row}: " + ", ".join(f"{name} {values[name]:.3g}" for name in columns), 2))
 
 
+COMMANDS: dict[str, Callable[..., Any]] = {
+    "train": train,
+    "recipe": recipe,
+    "board": board,
+    "depths": depths,
+    "transfer": transfer,
+    "expect": expect,
+    "adapt": adapt,
+}
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; invalid input gives one line on standard error and exit code 2."""
+    return run_one_of(COMMANDS, arguments, "interrupted; the same command goes on")
+
+
+def run_one_of(commands: dict[str, Callable[..., Any]], arguments: Sequence[str] | None, interrupted: str) -> int:
+    """Run the command that the arguments name; its exit status."""
     try:
-        commands: dict[str, Callable[..., Any]] = {
-            "train": train,
-            "recipe": recipe,
-            "board": board,
-            "depths": depths,
-            "transfer": transfer,
-            "expect": expect,
-            "adapt": adapt,
-        }
         parse = partial(tyro.extras.subcommand_cli_from_dict, commands, args=arguments, prog="tactile-insertion")
         return read_by_somebody(lambda: int(parse() or 0))
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print(f"{(arguments or sys.argv[1:])[0]}: interrupted; the same command goes on", file=sys.stderr)
+        print(f"{(arguments or sys.argv[1:])[0]}: {interrupted}", file=sys.stderr)
         return 130

@@ -15,10 +15,6 @@ from service.contract.frames import Contract, ContractError, Finger, first_error
 RECORD = "commissioning.json"
 
 
-_YOUNG = {"signs": "below_mm", "probes": "below_mm", "presses": "below_mm", "timed": "afresh"}
-"""Fields that the entries of older records do not have."""
-
-
 class Record(Contract):
     """A stored commissioning. ``seed`` determines the errors of all probes, ``named`` are mistakes of the cell.
 
@@ -50,12 +46,7 @@ class Record(Contract):
 
     def digest(self) -> str:
         """SHA-256 of all other fields."""
-        younger = {name for name in ("presses", "timed") if not getattr(self, name)}  # older records have none of them
-        content = self.model_dump(mode="json", exclude={"sha256", *younger})
-        for name, young in _YOUNG.items():
-            for entry in content.get(name, ()):
-                if not entry[young]:
-                    del entry[young]
+        content = self.model_dump(mode="json", exclude={"sha256"})
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 

@@ -1,7 +1,7 @@
 """A finger's camera as MJPEG over HTTP, one connection per client, every part stamped with its capture time.
 
 ``X-Timestamp`` is the capture time in seconds of the machine's steady clock with nanosecond digits (as camera streamers
-stamp frames with the driver's monotonic time), ``X-Captured-Ns`` the same as an integer, ``X-Sequence`` counts frames.
+stamp frames with the driver's monotonic time), ``X-Sequence`` counts frames.
 A slow client loses frames and never delays others: each connection sends the newest frame only.
 """
 
@@ -46,7 +46,7 @@ class Shot:
     def part(self, *, stamped: bool = True) -> bytes:
         """The multipart part that carries this frame."""
         seconds, rest = divmod(self.captured_ns, 1_000_000_000)
-        stamp = f"X-Timestamp: {seconds}.{rest:09d}\r\nX-Captured-Ns: {self.captured_ns}\r\n" if stamped else ""
+        stamp = f"X-Timestamp: {seconds}.{rest:09d}\r\n" if stamped else ""
         head = (
             f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(self.jpeg)}\r\n"
             f"{stamp}X-Sequence: {self.seq}\r\n\r\n"
@@ -135,14 +135,10 @@ class CameraEmulator:
     async def _respond(self, request_line: str, writer: asyncio.StreamWriter) -> None:
         method, _, rest = request_line.partition(" ")
         path = rest.split(" ")[0].split("?")[0]
-        if method != "GET" or path not in ("/", "/stream.mjpg", "/snapshot.jpg"):
+        if method != "GET" or path not in ("/", "/stream.mjpg"):
             writer.write(_NOT_FOUND)
-        elif self.faults.disconnect or (path == "/snapshot.jpg" and self._newest is None):
+        elif self.faults.disconnect:
             writer.write(_UNAVAILABLE)
-        elif path == "/snapshot.jpg" and self._newest is not None:
-            body = self._newest.jpeg
-            head = f"HTTP/1.1 200 OK\r\nConnection: close\r\nContent-Type: image/jpeg\r\nContent-Length: {len(body)}"
-            writer.write(head.encode() + b"\r\n\r\n" + body)
         else:
             writer.write(_HEADER)
             await self._stream(writer)

@@ -35,10 +35,8 @@ _MOTIONS = (Command.MOVE, Command.GRASP, Command.RELEASE)
 
 @dataclass(slots=True)
 class WsgCounters:
-    """Counts of what went over the wire, for tests and the report."""
+    """Counts of what went over the wire, for tests."""
 
-    requests: int = 0
-    motions: int = 0
     relative_moves: int = 0
     fast_stops_by_disconnect: int = 0
     commands: list[str] = field(default_factory=list)
@@ -74,7 +72,6 @@ class Session:
     def feed(self, data: bytes) -> None:
         """Accept bytes from the client and answer every frame in them."""
         for frame in self._parser.feed(data):
-            self._counters.requests += 1
             if self.announced:  # [M] 3.1.2: it waits for the disconnection
                 self._reply(frame.command, Status.ACCESS_DENIED)
             elif (more := answer(frame, self._gripper)) is not None:
@@ -111,7 +108,6 @@ class Session:
         if command in STATE_QUERIES:
             return Status.SUCCESS, self._query(command, int(values[0]), int(values[1]))
         if command is Command.HOMING or command in _MOTIONS:
-            self._counters.motions += 1
             return self._motion(command, values), ()
         if command is Command.ACKNOWLEDGE and values != (ACKNOWLEDGE_WORD,):
             return Status.CMD_FORMAT_ERROR, ()  # [M] 3.2.5

@@ -42,7 +42,6 @@ class Tally:
     trials: int = 0
     delays: list[int] = field(default_factory=list)
     onsets: list[int] = field(default_factory=list)
-    frame_ms: list[float] = field(default_factory=list)
 
     def add(self, trial: SlipTrial, alarm: int | None, *, standing: bool = False) -> None:
         """Count one trial; trials between slip and none are left out, and so are alarms at standstill."""
@@ -71,7 +70,6 @@ class Tally:
             "false": wilson(self.false, self.trials),
             "delay_frames": {**dict(spread), "within_one": float((np.abs(delays) <= 1).mean())},
             "onset_error_frames": {"exact": float(np.mean(np.array(self.onsets or [0]) == 0)), "n": len(self.onsets)},
-            "cpu_ms_per_frame": float(np.median(self.frame_ms)) if self.frame_ms else None,
         }
 
 
@@ -84,18 +82,13 @@ def pictures(trial: SlipTrial) -> list[list[Image]]:
     return drawn
 
 
-def track(trial: SlipTrial, images: list[list[Image]], tally: Tally) -> list[list[MarkerField]]:
-    """Marker fields of both fingers; the CPU time of each frame after the first goes to the tally."""
+def track(trial: SlipTrial, images: list[list[Image]]) -> list[list[MarkerField]]:
+    """Marker fields of both fingers."""
     fields = []
     stamp_ns = round(1e9 / trial.scene.fps)
     for frames in images:
-        tracker, tracked = MarkerTracker(), []
-        for k, image in enumerate(frames):
-            begun = time.process_time()
-            tracked.append(tracker.update(image, k * stamp_ns))
-            if k:
-                tally.frame_ms.append(1e3 * (time.process_time() - begun))
-        fields.append(tracked)
+        tracker = MarkerTracker()
+        fields.append([tracker.update(image, k * stamp_ns) for k, image in enumerate(frames)])
     return fields
 
 
@@ -181,7 +174,7 @@ def evaluate(count: int, seed: int, fps: int, show: Callable[[int], None]) -> di
     objects: dict[str, Tally] = {}
     for done, trial in enumerate(draw_trials(count, seed, fps), 1):
         images = pictures(trial)
-        fields = track(trial, images, tallies["images"])
+        fields = track(trial, images)
         alarm, onset = alarm_of(fields), onset_of(fields)
         for tally in (tallies["images"], objects.setdefault(trial.name, Tally())):
             tally.add(trial, alarm)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from service.contract import Sensor
 from service.perception.markers.field import MarkerField
-from simulation.studies.slip.detection import Tally, pictures, track
+from simulation.studies.slip.detection import pictures, track
 from simulation.studies.slip.trials import SlipTrial, draw_trials
 
 NOISES_GREY = (2.0, 6.0)
@@ -54,7 +54,7 @@ def accuracy_at_noise(trials: Sequence[SlipTrial], noise: float) -> dict[str, fl
     tracked: list[float] = []
     for trial in trials:
         noisy = replace(trial, scene=trial.scene.varied({"camera.noise_grey": noise}))
-        fields = track(noisy, pictures(noisy), Tally())
+        fields = track(noisy, pictures(noisy))
         errors.append(displacement_error_px(noisy, fields))
         markers_n = trial.gel[0, 0, ..., 0].size
         tracked += [float(field.valid.sum()) / markers_n for sequence in fields for field in sequence[1:]]

@@ -12,7 +12,7 @@ from simulation.foreign.cell import CLOSING_STEPS, ForeignCell, pad_of
 from simulation.foreign.elements import Pad
 from simulation.foreign.newton import Drive
 from simulation.foreign.pads import OPEN, Grip
-from simulation.scene.scene import Scene
+from simulation.scene.scene import APPROACH_MM, Scene
 from simulation.scene.worlds import load_scene
 from simulation.studies.witness import calculix
 from simulation.studies.witness.calculix import Mesh, Rubber
@@ -24,7 +24,6 @@ CELLS = (6, 2, 6)  # of CalculiX's mesh: its nodes lie on nodes of ours
 CLEAR_MM = 0.01
 SLIDES = 0.98  # share of the friction limit: penalty friction never quite reaches it
 TOUCHES = 0.02  # share of the mean pressure
-APPROACH_MM = 5.0
 SAME_MM, LEAST_SHARED = 1e-3, 40
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from simulation.foreign.cell import ForeignCell, pad_of
 from simulation.physics.quasistatic import QuasiStaticCell
-from simulation.scene.scene import Scene
+from simulation.scene.scene import APPROACH_MM, Scene
 from simulation.scene.state import Cell
 from simulation.scene.worlds import load_scene
 from simulation.studies.witness.check import FLAT, Probe
@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 Make = Callable[[Scene], Cell]
 
 PARTS, STOPS_AT = 4, 0.25
-APPROACH_MM = 5.0
 FINEST = (8, 3, 0.085)  # elements across and through, load step mm
 MESHES = ((4, 1, 0.17), (6, 2, 0.17), (8, 2, 0.17), (6, 2, 0.34), (6, 2, 0.085))
 EDGES: Mapping[str, Probe] = {

@@ -8,7 +8,7 @@ from export.onnx.golden import golden_frames
 from export.onnx.model import open_model
 from export.onnx.to_onnx import attach_card
 from export.onnx.verify import decide, verify
-from service.contract import CARD_KEY, ContractError, ModelCard
+from service.contract import ContractError, ModelCard
 from service.contract.self_test import check_self_test
 from service.decision.evidence import DecisionRun
 from service.decision.models import load_models
@@ -92,22 +92,6 @@ def test_the_graphs_weigh_little(models):
     assert all(file.stat().st_size < 4e6 for file in models.glob("*.onnx"))
 
 
-def test_a_model_without_a_card_is_refused(models, tmp_path):
-    model = onnx.load(str(models / "direction.step.onnx"))
-    del model.metadata_props[:]
-    onnx.save(model, str(tmp_path / "bare.onnx"))
-    with pytest.raises(ContractError, match="carries no model card"):
-        verify(tmp_path)
-
-
-def test_a_foreign_card_is_refused(models, tmp_path):
-    model = onnx.load(str(models / "direction.step.onnx"))
-    onnx.helper.set_model_props(model, {CARD_KEY: '{"schema_version": 7}'})
-    onnx.save(model, str(tmp_path / "foreign.onnx"))
-    with pytest.raises(ContractError, match="invalid model card"):
-        verify(tmp_path)
-
-
 def test_a_card_that_promises_other_inputs_is_refused(models, tmp_path):
     card = open_model(models / "direction.step.onnx").card
     model = onnx.load(str(models / "direction.step.onnx"))
@@ -115,14 +99,6 @@ def test_a_card_that_promises_other_inputs_is_refused(models, tmp_path):
     onnx.helper.set_model_props(model, card.model_copy(update={"gap_width_input": False}).to_props())
     onnx.save(model, str(tmp_path / "liar.onnx"))
     with pytest.raises(ContractError, match="its card promises"):
-        verify(tmp_path)
-
-
-@pytest.mark.parametrize("content", [b"", b"garbage", None])
-def test_a_corrupt_file_is_refused(models, tmp_path, content):
-    whole = (models / "direction.step.onnx").read_bytes()
-    (tmp_path / "bad.onnx").write_bytes(whole[: len(whole) // 2] if content is None else content)
-    with pytest.raises(ContractError, match=r"bad\.onnx"):
         verify(tmp_path)
 
 

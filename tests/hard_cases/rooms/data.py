@@ -17,7 +17,7 @@ from simulation.data.dataset import Dataset, DatasetWriter
 from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry
 from tests.hard_cases.instead import blind, waved_through
 from tests.hard_cases.registry import Guard, case, not_refused
-from tests.simulation.strategies import made_up_manifest, made_up_trial
+from tests.simulation.strategies import made_up_dataset, made_up_manifest, made_up_trial
 
 FRAME = encode_frame(TactileFrame("left", 1, 2, np.zeros((32, 40, 3), np.uint8)))
 
@@ -39,13 +39,7 @@ def cut_or_filled(decode: Callable[..., TactileFrame]) -> Callable[..., TactileF
 @lru_cache
 def _dataset() -> Path:
     """Two committed shards of 12 made-up trials; kept until the process ends."""
-    folder = Path(tempfile.mkdtemp(prefix="hard-cases-"))
-    with DatasetWriter(folder, made_up_manifest()) as writer:
-        for shard in range(2):
-            trials = [made_up_trial(12 * shard + k) for k in range(12)]
-            writer.commit(writer.write_shard(f"rectangle-{shard:05d}.parquet", trials))
-        writer.finish()
-    return folder
+    return made_up_dataset(Path(tempfile.mkdtemp(prefix="hard-cases-")), [made_up_trial(k) for k in range(24)])
 
 
 @contextmanager

@@ -192,27 +192,6 @@ def stamped(seq: int, cost_ms: float = 1.0) -> PairObservation:
     return PairObservation(*(replace(one, **changed) for one in pair().fingers))
 
 
-@pytest.mark.parametrize(
-    ("onset", "rule", "reference"),
-    [
-        (5, "first_of_sequence", 5),
-        (5, "before_onset", 4),
-        (3, "first_of_sequence", 3),
-        (3, "before_onset", 0),
-    ],
-)
-def test_networks_compare_with_the_first_pair_that_moves_or_the_last_one_before_it(
-    onset: int, rule: str, reference: int
-) -> None:
-    """The ring begins at pair 3; whatever moves in it already is compared with the reference at arming."""
-    attempt = descent(reference=stamped(0), onset_ns=onset * 10_000_000)
-    attempt.ring = deque(stamped(seq) for seq in range(3, 8))
-    fresh = attempt.take_decision_pairs(3, rule)
-    assert [one.seq for one in fresh] == [one.seq for one in attempt.decision_pairs] == list(range(onset, 8))[:3]
-    assert attempt.network_reference is not None
-    assert attempt.network_reference.seq == reference
-
-
 def test_the_result_of_steps_states_what_the_newest_pair_took() -> None:
     spec = SimpleNamespace(steps_n=5)
     models: Any = SimpleNamespace(card=SimpleNamespace(pressing=spec))

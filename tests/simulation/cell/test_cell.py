@@ -1,6 +1,7 @@
 """The cell as a whole: ground truth, faults over HTTP, ports, and a dropped object."""
 
 import socket
+from pathlib import Path
 
 import httpx
 import pytest
@@ -8,24 +9,29 @@ import pytest
 from robot_client.grippers.wsg50.codes import Command
 from simulation.cell.emulators.faults import FaultBoard, FaultError
 from simulation.cell.emulators.net import BusyPortError
-from simulation.cell.live import bind_all
+from simulation.cell.live import LiveCell, bind_all
 from simulation.cell.options import CellError, CellOptions
+from simulation.cell.plant import build
+from simulation.scene.worlds import load_scene
 from tests.simulation.physics.bench import WsgClient, bench
 
 
 @pytest.fixture(scope="module")
 def cell():
-    with bench(gripper="held") as made:
+    with bench() as made:
+        gripper = WsgClient(made.description["gripper"])
+        gripper.do(Command.GRASP, 80.0, 400.0)
+        gripper.close()
         yield made
 
 
 def test_truth_tells_pose_error_and_wires(cell):
-    cell.wait(lambda: cell.cell.world.course.frames > 2)
+    cell.wait(lambda: cell.cell.world.state is not None)
     truth = httpx.get(cell.description["admin_url"] + "/truth").json()
     assert truth["object"]["x_mm"] == pytest.approx(8.0)
     assert truth["object"]["theta_deg"] == pytest.approx(6.0)
     assert truth["controller"]["state"] == "motoroff"
-    assert truth["gripper"]["state"] == "HOLDING"
+    assert truth["gripper"]["held"]
 
 
 def test_faults_are_set_read_and_cleared_over_http(cell):
@@ -53,6 +59,14 @@ def test_a_busy_port_is_one_clear_line():
         port = taken.getsockname()[1]
         with pytest.raises(BusyPortError, match=f"gripper cannot have port {port}"):
             bind_all(CellOptions(gripper_port=port))
+
+
+def test_the_client_is_told_to_go_as_deep_as_the_scene_counts_as_inserted():
+    scene, options = load_scene("rectangle", blocks__insertion_depth_mm=30.0), CellOptions()
+    cell = LiveCell(options, build(scene, options), bind_all(options))
+    assert cell.description(Path("none"))["expected_depth_mm"] == scene.full_depth_mm
+    for sock in cell.sockets:
+        sock.close()
 
 
 @pytest.mark.parametrize("wrong", [{"fps": 31}, {"x_mm": float("nan")}, {"egm_lag_ms": 0.0}, {"rws_port": 70000}])

@@ -27,14 +27,8 @@ def test_a_drawn_start_collides_and_repeats(name):
         assert run.draw_start(scene, seed) == (x_mm, theta_deg)
 
 
-def test_all_objects_and_repeats_are_counted(tmp_path):
-    starts = run.starts(run.RunOptions(object="all", repeat=5, models=tmp_path))
-    assert [start.object for start in starts[::5]] == list(training_objects())
-    assert len(starts) == 20
-
-
 def test_a_stated_start_is_kept(tmp_path):
-    (start,) = run.starts(run.RunOptions(x_mm=8.0, theta_deg=6.0, models=tmp_path))
+    start = run.start_of(run.RunOptions(x_mm=8.0, theta_deg=6.0, models=tmp_path))
     assert (start.x_mm, start.theta_deg) == (8.0, 6.0)
 
 
@@ -42,7 +36,7 @@ def test_a_gap_that_nothing_misses_has_a_start_too(tmp_path):
     (tmp_path / "wide.toml").write_text(
         '[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 50.0\n[blocks]\ngap_mm = 200.0\n'
     )
-    (start,) = run.starts(run.RunOptions(object=str(tmp_path / "wide.toml"), models=tmp_path))
+    start = run.start_of(run.RunOptions(object=str(tmp_path / "wide.toml"), models=tmp_path))
     assert abs(start.x_mm) <= 15.0
 
 
@@ -60,7 +54,7 @@ def test_keys_of_a_world_that_only_lock_step_plays_are_named(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--object", "rectangl"], ["--world", "/none.toml"], ["--models", "/none"], ["--repeat", "0"]],
+    [["--object", "rectangl"], ["--world", "/none.toml"], ["--models", "/none"]],
 )
 def test_wrong_input_is_one_line_and_exit_2(arguments, capsys):
     assert main(["run", *arguments]) == 2

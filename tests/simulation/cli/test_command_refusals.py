@@ -5,9 +5,8 @@ from pathlib import Path
 import pytest
 
 from simulation.__main__ import main
-from simulation.data.dataset import DatasetWriter
 from tests.service import tiny_models
-from tests.simulation.strategies import made_up_manifest, made_up_trial
+from tests.simulation.strategies import made_up_dataset, made_up_trial
 
 REFUSED = [
     ("collect --out OUT --workers -1", "--workers"),
@@ -30,9 +29,7 @@ REFUSED = [
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory) -> dict[str, Path]:
-    data = tmp_path_factory.mktemp("data")
-    with DatasetWriter(data, made_up_manifest()) as writer:
-        writer.commit(writer.write_shard("rectangle-00000.parquet", [made_up_trial(k) for k in range(12)]))
+    data = made_up_dataset(tmp_path_factory.mktemp("data"), [made_up_trial(k) for k in range(12)])
     return {"DATA": data, "MODELS": tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny")}
 
 

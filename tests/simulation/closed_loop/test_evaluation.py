@@ -9,7 +9,7 @@ from simulation.closed_loop.play import insert
 from simulation.scene.worlds import World, load_scene
 from tests.service import tiny_models
 
-COURSE = {"block_mm": 0.2, "block_tilt_deg": 0.1, "in_hand_mm": 1.0, "slipped_mm": 0.3, "force_n": 9.0, "unsolved": 0}
+COURSE = {"block_mm": 0.2, "force_n": 9.0}
 DECISION = {
     "type": "correction",
     "class_probabilities": {"5": 0.8, "6": 0.2},

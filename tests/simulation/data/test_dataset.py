@@ -12,18 +12,13 @@ import pytest
 
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
 from simulation.data.trial import LABELS, split_of
-from tests.simulation.strategies import made_up_manifest, made_up_trial
+from tests.simulation.strategies import made_up_dataset, made_up_manifest, made_up_trial, written
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Two committed shards of 12 trials, complete."""
-    with DatasetWriter(tmp_path, made_up_manifest()) as writer:
-        for shard in range(2):
-            trials = [made_up_trial(12 * shard + k) for k in range(12)]
-            writer.commit(writer.write_shard(f"rectangle-{shard:05d}.parquet", trials))
-        assert writer.finish()
-    return tmp_path
+    return made_up_dataset(tmp_path, [made_up_trial(k) for k in range(24)])
 
 
 def test_trials_come_back_exactly(folder: Path) -> None:
@@ -90,14 +85,6 @@ def test_a_truncated_shard_is_named_and_left_alone(folder: Path) -> None:
     assert before == {path: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_an_altered_shard_is_named(folder: Path) -> None:
-    data = bytearray(shard(folder).read_bytes())
-    data[len(data) // 2] ^= 1
-    shard(folder).write_bytes(data)
-    with pytest.raises(DatasetError, match=r"rectangle-00001\.parquet: SHA-256"):
-        Dataset(folder)
-
-
 def test_a_missing_shard_is_named(folder: Path) -> None:
     shard(folder).unlink()
     with pytest.raises(DatasetError, match=r"rectangle-00001\.parquet: listed .* but missing"):
@@ -124,13 +111,6 @@ def test_a_manifest_of_another_version_is_refused_and_kept(
     assert path.read_bytes() == before
 
 
-def test_half_a_manifest_is_refused(folder: Path) -> None:
-    path = folder / "manifest.json"
-    path.write_text(path.read_text()[:50])
-    with pytest.raises(DatasetError, match=r"manifest\.json"):
-        Dataset(folder)
-
-
 def test_no_dataset_is_said_so(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no such file"):
         Dataset(tmp_path)
@@ -143,19 +123,11 @@ def test_labels_that_are_not_numbers_are_refused_on_writing_and_on_reading(
     bad = made_up_trial(0, **{name: float("nan")})
     with DatasetWriter(folder, made_up_manifest()) as writer:
         with pytest.raises(DatasetError, match=name):
-            writer.write_shard("bad.parquet", [bad])
-        assert not (folder / "bad.parquet").exists()
+            written(folder / "bad.parquet", [bad])
         monkeypatch.setattr("simulation.data.trial.Trial.check", lambda _: None)  # as a writer with a bug would
-        writer.commit(writer.write_shard("bad.parquet", [bad]))
+        writer.commit(written(folder / "bad.parquet", [bad]))
     with pytest.raises(DatasetError, match=rf"bad\.parquet: label {name}"):
         Dataset(folder)
-
-
-def test_gel_states_that_are_not_numbers_are_refused() -> None:
-    gel = made_up_trial(0).gel.copy()
-    gel[3, 0, 2, 2, 0] = np.nan
-    with pytest.raises(DatasetError, match="gel"):
-        made_up_trial(0, gel=gel).check()
 
 
 def test_another_collection_is_not_continued(folder: Path) -> None:
@@ -163,12 +135,6 @@ def test_another_collection_is_not_continued(folder: Path) -> None:
         DatasetWriter(folder, made_up_manifest(seed=1))
     with pytest.raises(DatasetError, match="scene rectangle has changed"):
         DatasetWriter(folder, made_up_manifest(scenes={"rectangle": "1" * 64}))
-
-
-def test_a_shard_is_listed_once(folder: Path) -> None:
-    with DatasetWriter(folder, made_up_manifest()) as writer, pytest.raises(DatasetError, match="already"):
-        writer.commit(writer.manifest.shards[0])
-    assert len(Dataset(folder)) == 24
 
 
 def test_two_writers_cannot_share_a_folder(folder: Path) -> None:
@@ -193,6 +159,4 @@ def test_what_a_killed_writer_left_is_swept(folder: Path) -> None:
 
 def test_equal_trials_give_equal_bytes(tmp_path: Path) -> None:
     trials = [made_up_trial(k) for k in range(12)]
-    with DatasetWriter(tmp_path, made_up_manifest()) as writer:
-        first = writer.write_shard("a.parquet", trials)
-        assert writer.write_shard("b.parquet", trials).sha256 == first.sha256
+    assert written(tmp_path / "a.parquet", trials).sha256 == written(tmp_path / "b.parquet", trials).sha256

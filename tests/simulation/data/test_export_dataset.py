@@ -13,19 +13,15 @@ import pyarrow.parquet as pq
 import pytest
 
 from simulation.cli.dataset import export_dataset
-from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
+from simulation.data.dataset import Dataset, DatasetError
 from simulation.data.lerobot import TRIALS, Exported
-from tests.simulation.strategies import made_up_manifest, made_up_trial
+from tests.simulation.strategies import made_up_dataset, made_up_trial
 
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset of 10 trials."""
-    folder = tmp_path_factory.mktemp("source")
-    with DatasetWriter(folder, made_up_manifest(trials_per_object=10, trials_per_shard=10)) as writer:
-        writer.commit(writer.write_shard("rectangle-00000.parquet", [made_up_trial(k) for k in range(10)]))
-        writer.finish()
-    return folder
+    return made_up_dataset(tmp_path_factory.mktemp("source"), [made_up_trial(k) for k in range(10)], 10)
 
 
 @pytest.fixture(scope="module")

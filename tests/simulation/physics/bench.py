@@ -16,8 +16,9 @@ from robot_client.grippers.wsg50.codec import Reply, StreamParser, decode_reply,
 from robot_client.grippers.wsg50.codes import Command, Status
 from service.contract import Sensor
 from simulation.cell.emulators.abb.motion import Pose, tool_down
-from simulation.cell.live import APPROACH_MM, LiveCell, Plant, bind_all
+from simulation.cell.live import LiveCell, Plant, bind_all
 from simulation.cell.options import CellOptions
+from simulation.scene.scene import APPROACH_MM
 
 GRASP_HEIGHT_MM = 30.0
 STATE = {
@@ -78,6 +79,7 @@ def plant(physics: TwoLinePhysics, x_mm: float = 8.0, theta_deg: float = 6.0, fp
         start=start,
         part_width_mm=80.0,
         gap_width_mm=56.0,
+        full_depth_mm=25.0,
         save_calibration=lambda _path: None,
         sensor=Sensor.load(),
         fps=fps,

@@ -1,6 +1,7 @@
 """Invalid input at the command line: named in one line, refused, and no existing byte overwritten."""
 
 import json
+import re
 import sys
 
 import pyarrow as pa
@@ -10,9 +11,8 @@ import torch
 
 from export.cli.commands import main as export_main
 from service.contract import ContractError, Sensor
-from simulation.data.dataset import DatasetWriter
 from simulation.data.manifest import MANIFEST, ShardEntry
-from tests.simulation.strategies import made_up_manifest, made_up_trial
+from tests.simulation.strategies import made_up_dataset, made_up_trial
 from training.cli.commands import main
 from training.data.labels import CLASSES
 from training.fit.checkpoint import Checkpoint
@@ -46,13 +46,7 @@ epochs = 1
 
 @pytest.fixture
 def probes(tmp_path):
-    folder = tmp_path / "probes"
-    with DatasetWriter(folder, made_up_manifest()) as writer:
-        for shard in range(2):
-            trials = [made_up_trial(12 * shard + k) for k in range(12)]
-            writer.commit(writer.write_shard(f"rectangle-{shard:05d}.parquet", trials))
-        writer.finish()
-    return folder
+    return made_up_dataset(tmp_path / "probes", [made_up_trial(k) for k in range(24)])
 
 
 @pytest.fixture
@@ -77,26 +71,16 @@ def contents(folder):
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_truncated_shard_is_named_and_refused(probes, run_file, tmp_path, monkeypatch, capsys):
+def truncated(probes):
     (probes / SHARD).write_bytes((probes / SHARD).read_bytes()[:-1000])
-    before = contents(tmp_path)
-    line = refusal(monkeypatch, capsys, main, "train", run_file)
-    assert SHARD in line
-    assert "truncated?" in line
-    assert before.items() <= contents(tmp_path).items()
 
 
-def test_a_manifest_of_another_version_is_named_and_refused(probes, run_file, tmp_path, monkeypatch, capsys):
+def of_another_version(probes):
     stated = json.loads((probes / MANIFEST).read_text())
     (probes / MANIFEST).write_text(json.dumps(stated | {"schema_version": 99}))
-    before = contents(tmp_path)
-    line = refusal(monkeypatch, capsys, main, "train", run_file)
-    assert MANIFEST in line
-    assert "schema version 99, expected 2" in line
-    assert before.items() <= contents(tmp_path).items()
 
 
-def test_nan_labels_are_named_and_refused(probes, run_file, tmp_path, monkeypatch, capsys):
+def with_a_nan_label(probes):
     table = pq.read_table(probes / SHARD)
     place = table.column_names.index("theta_deg")
     labels = table.column(place).to_pylist()
@@ -108,9 +92,20 @@ def test_nan_labels_are_named_and_refused(probes, run_file, tmp_path, monkeypatc
     fresh = ShardEntry.of(SHARD, (probes / SHARD).read_bytes(), trials=12, object_name="rectangle", outcomes={})
     entry |= {"size_bytes": fresh.size_bytes, "sha256": fresh.sha256}
     (probes / MANIFEST).write_text(json.dumps(stated))
+
+
+@pytest.mark.parametrize(
+    ("damage", "named"),
+    [
+        (truncated, rf"{SHARD}.*truncated\?"),
+        (of_another_version, f"{MANIFEST}.*schema version 99, expected 2"),
+        (with_a_nan_label, rf"{SHARD}.*theta_deg"),
+    ],
+)
+def test_data_that_cannot_be_used_are_named_and_refused(probes, run_file, tmp_path, monkeypatch, capsys, damage, named):
+    damage(probes)
     before = contents(tmp_path)
-    line = refusal(monkeypatch, capsys, main, "train", run_file)
-    assert "theta_deg" in line or "not finite" in line
+    assert re.search(named, refusal(monkeypatch, capsys, main, "train", run_file))
     assert before.items() <= contents(tmp_path).items()
 
 

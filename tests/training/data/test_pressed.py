@@ -11,9 +11,8 @@ from service.contract import Sensor
 from service.perception.pressing import lattice_weights, on_lattice
 from simulation.cli.dataset import export_dataset
 from simulation.data import drawn_cells
-from simulation.data.dataset import DatasetWriter
 from simulation.scene.rubber import shear_reach_pitches
-from tests.simulation.strategies import made_up_manifest, made_up_trial
+from tests.simulation.strategies import made_up_dataset, made_up_trial
 from tests.training.synthetic import SyntheticSource
 from training.data import descents
 from training.data.descents import Reader
@@ -131,9 +130,7 @@ def test_a_network_is_trained_on_a_lerobot_export_as_on_the_shards_it_is_of(tmp_
         )
         for k in range(6)
     ]
-    with DatasetWriter(tmp_path / "shards", made_up_manifest(trials_per_object=6)) as writer:
-        writer.commit(writer.write_shard("rectangle-00000.parquet", trials))
-        writer.finish()
+    made_up_dataset(tmp_path / "shards", trials)
     assert export_dataset([str(tmp_path / "shards"), "--out", str(tmp_path / "lerobot")]) == 0
     runs = {
         name: config.model_copy(

@@ -1,5 +1,3 @@
-import os
-
 import pytest
 import torch
 
@@ -136,14 +134,6 @@ def test_a_checkpoint_returns_what_was_saved(trained):
         for index in range(8):
             logits, state = step(frames[:, index], frames[:, 0], state, gap, height)
     assert torch.allclose(whole, logits, atol=1e-5)
-
-
-@pytest.mark.parametrize("content", [b"", b"not a checkpoint", os.urandom(2000)])
-def test_a_damaged_checkpoint_is_refused(tmp_path, content):
-    path = tmp_path / "checkpoint.pt"
-    path.write_bytes(content)
-    with pytest.raises(ContractError, match="is not one of ours"):
-        Checkpoint.load(path)
 
 
 def test_a_checkpoint_of_another_architecture_is_refused(trained):

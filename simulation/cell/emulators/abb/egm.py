@@ -26,9 +26,8 @@ _FAREWELL_CYCLES = 12  # the controller reports the stopped state for some 50 ms
 
 @dataclass(slots=True)
 class EgmCounters:
-    """Counts of what went over the wire, for tests and the report."""
+    """Counts of what went over the wire, for tests."""
 
-    sent: int = 0
     received: int = 0
     refused: int = 0
     lost_cycles: int = 0
@@ -124,7 +123,6 @@ class EgmEmulator(asyncio.DatagramProtocol):
     def _send(self, message: bytes) -> None:
         if self._transport is not None and not self._transport.is_closing():
             self._transport.sendto(message, self._guide)
-            self.counters.sent += 1
 
     def _message(self) -> bytes:
         cabinet, arm = self.cabinet, self.cabinet.arm

@@ -8,7 +8,7 @@ from tests.simulation.physics.bench import WsgClient, bench
 
 @pytest.fixture(scope="package")
 def cell():
-    with bench(gripper="open") as made:
+    with bench() as made:
         yield made
 
 
