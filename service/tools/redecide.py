@@ -21,8 +21,9 @@ from service.decision.attempt import WorkResult
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from service.perception.rectification import Calibration
+from service.recordings.names import NAME
 from service.recordings.reader import Recording, RecordingError
-from service.recordings.writer import FINAL, NAME
+from service.recordings.writer import FINAL
 from service.session.factory import make_session
 from service.session.state_machine import InsertionSession
 from service.settings import Deadlines

@@ -10,7 +10,8 @@ from pydantic import BaseModel
 from pydantic_core import to_json
 
 from service.recordings.listing import Summary, each_recording
-from service.recordings.writer import FINAL, NAME
+from service.recordings.names import NAME
+from service.recordings.writer import FINAL
 from service.session.station import Station
 from service.web.access import Access
 

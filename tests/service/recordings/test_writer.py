@@ -226,3 +226,19 @@ def test_an_insertion_that_is_removed_meanwhile_makes_no_trouble_for_the_next_on
     finally:
         ended.set()
         thread.join()
+
+
+@pytest.mark.parametrize("newest", ["20990228T235959999999_far", "20260101T000000_short"])
+def test_a_recording_made_after_the_clock_was_set_back_is_still_the_newest(tmp_path: Path, newest: str) -> None:
+    (tmp_path / newest).mkdir()
+    (tmp_path / newest / "insertion.mcap").write_bytes(b"\0" * 1000)
+    paths = [Recorder(tmp_path, name, {}).close({"outcome": "failed", "attempts": 1}) for name in ("one", "two")]
+    listed, _ = list_recordings(tmp_path)
+    assert [one["insertion_id"] for one in listed] == ["two", "one"]
+    prune(tmp_path, 0)
+    assert [path.name for path in tmp_path.iterdir()] == [paths[-1].parent.name]
+
+
+def test_a_folder_whose_stamp_is_no_time_keeps_nothing_from_being_recorded(tmp_path: Path) -> None:
+    (tmp_path / "99999999T999999_x").mkdir()
+    assert Recorder(tmp_path, "one", {}).close({"outcome": "failed", "attempts": 1}).is_file()
