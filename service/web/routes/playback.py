@@ -17,7 +17,7 @@ from service.web.page.playback import moment, timeline
 from service.web.routes.recordings import recording_folder
 
 AGAIN_S = 120.0
-MOST_AGAIN_BYTES = 320_000_000  # about 780 pictures: beside the service, within the memory that its unit is given
+MOST_AGAIN_BYTES = 320_000_000  # beside the service, within the memory that its unit is given
 
 
 def router(station: Station, access: Access) -> APIRouter:
@@ -45,7 +45,7 @@ def router(station: Station, access: Access) -> APIRouter:
         """Decide the whole insertion again, in a process of its own, with the networks that decided it.
 
         They must be loaded: active, beside, or released; otherwise ``same`` is null and the answer names them. 422 if
-        the recording, with its pictures decoded, fills more than 320 MB.
+        the recording fills more than 320 MB.
         """
         path = file_of(name)
         if station.active is not None or deciding.locked():

@@ -5,8 +5,10 @@ import subprocess
 import sys
 import textwrap
 import threading
+import tracemalloc
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
@@ -90,6 +92,21 @@ for index in range(40):
     time.sleep(0.05)
 os.kill(os.getpid(), signal.SIGKILL)
 """
+
+
+def test_of_a_long_recording_few_pictures_fill_memory_at_once(tmp_path: Path) -> None:
+    flat = np.full((320, 427, 3), 90, np.uint8)
+    jpeg = cv2.imencode(".jpg", flat)[1].tobytes()
+    recorder = Recorder(tmp_path, "long", {})
+    for index in range(100):
+        recorder.frame(CameraFrame(TactileFrame("left", index, index + 1, flat), jpeg))
+    path = recorder.close({"outcome": "failed", "attempts": 0})
+    tracemalloc.start()
+    shown = [frame.seq for frame in Recording(path).frames("left").values()]
+    _, most_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert shown == list(range(100))
+    assert most_bytes < 10 * flat.nbytes
 
 
 def test_a_killed_service_leaves_all_but_the_last_second(tmp_path: Path) -> None:
