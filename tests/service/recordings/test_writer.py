@@ -1,3 +1,4 @@
+import errno
 import json
 import os
 import signal
@@ -218,6 +219,24 @@ def test_a_recording_that_cannot_be_recovered_stays_as_it_is_and_stops_nothing(
         "a/insertion.mcap.part",
         "b/insertion.mcap.part",
     ]
+
+
+def test_a_part_on_a_disk_that_is_read_only_now_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "insertion.mcap.part").write_bytes(b"\0" * 1000)
+    really = Path.open
+
+    def read_only(path: Path, mode: str = "r", **more: object) -> object:
+        if mode == "rb":
+            return really(path, mode)
+        return refused(path)
+
+    def refused(path: Path, **_: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr(Path, "open", read_only)
+    monkeypatch.setattr(Path, "unlink", refused)
+    assert recover(tmp_path) == []
 
 
 def test_a_part_that_cannot_even_be_opened_stops_nothing(tmp_path: Path) -> None:
