@@ -85,7 +85,7 @@ class ServiceLink:
             )
         except InvalidStatus as error:
             refused = error.response.status_code == http.HTTPStatus.FORBIDDEN
-            why = "the token is missing or wrong, see service.token_file" if refused else str(error)
+            why = "its token (service.token_file) or the path of the address is wrong" if refused else str(error)
             raise DriverError(f"service: {settings.url} refuses this client: {why}") from None
         except (OSError, TimeoutError, WebSocketException, ValueError) as error:
             raise DriverError(f"service: cannot connect to {settings.url}: {type(error).__name__} {error}") from None
