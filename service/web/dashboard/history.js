@@ -33,7 +33,7 @@ function options(select, values) {
 function show() {
   const chosen = all.filter((one) => Object.entries(FILTERS).every(([key, id]) => at(id).value === "*" || (one[key] ?? "") === at(id).value));
   const inserted = chosen.filter(({ outcome }) => outcome === "inserted"), ended = chosen.filter(({ outcome }) => outcome !== "aborted"); // by a person, as a probe, or to be regrasped
-  at("count").textContent = chosen.length ? `${inserted.length} of ${ended.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}` : "none";
+  at("count").textContent = ended.length ? `${inserted.length} of ${ended.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}` : chosen.length ? `${chosen.length} aborted` : "none";
   at("past").replaceChildren(...chosen.slice(0, 500).map(row));
   trend(ended.slice(0, 500).reverse());
 }
