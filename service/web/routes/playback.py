@@ -3,6 +3,7 @@
 import asyncio
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from service.web.page.playback import moment, timeline
 from service.web.routes.recordings import recording_folder
 
 AGAIN_S = 120.0
+LOOK_S = 0.1
 MOST_AGAIN_BYTES = 320_000_000  # beside the service, within the memory that its unit is given
 
 
@@ -55,24 +57,34 @@ def router(station: Station, access: Access) -> APIRouter:
             if need.bytes_n > MOST_AGAIN_BYTES:
                 raise HTTPException(422, _too_large(need.bytes_n))
             models = station.versions.with_hashes(need.networks)
-            return await _replayed(path, models.steps[0].path.parent)
+            return await _replayed(path, models.steps[0].path.parent, lambda: station.active is not None)
 
     return routes
 
 
-async def _replayed(path: Path, models: Path) -> dict[str, Any]:
-    """What `service replay` says of a recording; ``same`` None where it could not be decided again."""
+async def _replayed(path: Path, models: Path, busy: Callable[[], bool]) -> dict[str, Any]:
+    """What `service replay` says of a recording; ``same`` None where it could not be decided again.
+
+    It ends as soon as the service is ``busy``: an insertion needs the processor.
+    """
     command = (sys.executable, "-m", "service", "replay", str(path), "--models", str(models))
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(
         *command, stdout=pipe, stderr=asyncio.subprocess.STDOUT, preexec_fn=_politely
     )
+    reading = asyncio.create_task(process.communicate())
     try:
         async with asyncio.timeout(AGAIN_S):
-            output, _ = await process.communicate()
+            while not reading.done():
+                if busy():
+                    raise HTTPException(409, "busy: an insertion has begun")
+                await asyncio.wait([reading], timeout=LOOK_S)
     except TimeoutError:
-        process.kill()
         raise HTTPException(504, f"not decided again within {AGAIN_S:g} s") from None
+    finally:
+        if process.returncode is None:
+            process.kill()
+    output, _ = await reading
     same = {0: True, 1: False}.get(process.returncode if process.returncode is not None else -1)
     return {"same": same, "lines": output.decode(errors="replace").splitlines()[-20:]}
 

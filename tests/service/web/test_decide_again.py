@@ -1,6 +1,9 @@
 """Deciding a recorded insertion again, from the page or the API: with which networks, and how large a one."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import httpx
 import pytest
@@ -51,3 +54,27 @@ def test_a_recording_that_is_too_large_is_refused(live: LiveService, monkeypatch
     assert "on another one" in refused.json()["error"]
     monkeypatch.undo()
     assert decided_again(live, second).json()["same"] is True
+
+
+def test_an_insertion_that_begins_ends_what_is_being_decided_again(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    _, path = insert(live, "earlier")
+    slow = tmp_path / "slow"
+    slow.write_text(f"#!/bin/sh\necho $$ > {tmp_path / 'number'}\nexec sleep 60\n")
+    slow.chmod(0o755)
+    monkeypatch.setattr("service.web.routes.playback.sys", SimpleNamespace(executable=str(slow)))
+    with ThreadPoolExecutor(1) as beside:
+        answer = beside.submit(decided_again, live, path)
+        while not (tmp_path / "number").is_file() or not (number := (tmp_path / "number").read_text().strip()):
+            time.sleep(0.05)
+        driver = Driver(live, "next")
+        driver.until("hello")
+        refused = answer.result(30)
+    driver.send(wire.Abort(insertion_id="next", cause="operator", reason="done"))
+    driver.until("finished")
+    driver.close()
+    assert refused.status_code == 409
+    assert refused.json()["error"] == "busy: an insertion has begun"
+    process = Path(f"/proc/{number}")
+    assert not process.exists() or (process / "cmdline").read_text() == ""
