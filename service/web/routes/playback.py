@@ -15,6 +15,7 @@ from service.recordings.writer import FINAL
 from service.session.station import Station
 from service.web.access import Access
 from service.web.page.playback import moment, timeline
+from service.web.reading import Reading
 from service.web.routes.recordings import recording_folder
 
 AGAIN_S = 120.0
@@ -24,7 +25,7 @@ MOST_AGAIN_BYTES = 320_000_000  # beside the service, within the memory that its
 
 def router(station: Station, access: Access) -> APIRouter:
     routes = APIRouter(prefix="/v1/recordings/{name}", tags=["recordings"], dependencies=[access.require("watch")])
-    deciding = asyncio.Lock()
+    deciding, reading = asyncio.Lock(), Reading(station)
 
     def file_of(name: str) -> Path:
         path = recording_folder(station.settings.recordings, name) / FINAL
@@ -35,12 +36,12 @@ def router(station: Station, access: Access) -> APIRouter:
     @routes.get("/timeline")
     async def curves(name: str) -> dict[str, Any]:
         """Slip, push and depth over time, what happened, and the moments that can be looked at."""
-        return await asyncio.to_thread(timeline, file_of(name))
+        return await reading(timeline, file_of(name))
 
     @routes.get("/moments/{finger}/{at_ns}")
     async def felt(name: str, finger: Finger, at_ns: int) -> dict[str, Any]:
         """What a finger felt at a moment: its picture, its markers, which of them slip."""
-        return await asyncio.to_thread(moment, file_of(name), finger, at_ns)
+        return await reading(moment, file_of(name), finger, at_ns)
 
     @routes.post("/decide")
     async def decide_again(name: str) -> dict[str, Any]:
@@ -72,21 +73,21 @@ async def _replayed(path: Path, models: Path, busy: Callable[[], bool]) -> dict[
     process = await asyncio.create_subprocess_exec(
         *command, stdout=pipe, stderr=asyncio.subprocess.STDOUT, preexec_fn=_politely
     )
-    reading = asyncio.create_task(process.communicate())
+    output = asyncio.create_task(process.communicate())
     try:
         async with asyncio.timeout(AGAIN_S):
-            while not reading.done():
+            while not output.done():
                 if busy():
                     raise HTTPException(409, "busy: an insertion has begun")
-                await asyncio.wait([reading], timeout=LOOK_S)
+                await asyncio.wait([output], timeout=LOOK_S)
     except TimeoutError:
         raise HTTPException(504, f"not decided again within {AGAIN_S:g} s") from None
     finally:
         if process.returncode is None:
             process.kill()
-    output, _ = await reading
+    lines, _ = await output
     same = {0: True, 1: False}.get(process.returncode if process.returncode is not None else -1)
-    return {"same": same, "lines": output.decode(errors="replace").splitlines()[-20:]}
+    return {"same": same, "lines": lines.decode(errors="replace").splitlines()[-20:]}
 
 
 def _too_large(bytes_n: int) -> str:
