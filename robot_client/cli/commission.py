@@ -9,7 +9,6 @@ from pathlib import Path
 from robot_client.cli.insert import fixture_of, live_ports, make_plan
 from robot_client.cli.terminal import Outcome, rehearsed, show, stop_on_signals, warning
 from robot_client.insertion.events import Event, FromService
-from robot_client.insertion.limits import check_pose
 from robot_client.insertion.state import Phase, Plan, State
 from robot_client.ports import DriverError
 from robot_client.session.commission.kept_gripper import KeptGripper
@@ -38,7 +37,7 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
         raise SettingsError("commission: the configuration lacks the table [cycle] with pick and open_mm")
     taught.check(settings.limits)
     for x_mm, theta_deg in (*SIDES, REACH, (-REACH[0], -REACH[1])):
-        check_pose(settings.limits, make_plan(settings, x_mm, theta_deg, None, None).approach, "a probe")
+        make_plan(settings, x_mm, theta_deg, None, None).check()
     path = out / RECORD
     record = read_record(path)
     show(warning(live=live, simulated=settings.simulated))

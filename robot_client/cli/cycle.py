@@ -21,15 +21,18 @@ from robot_client.settings import Settings, SettingsError
 
 
 def cycle(settings: Settings, *, live: bool, asked: bool, parts_n: int | None, log: Path | None) -> Outcome:
-    """Insert ``parts_n`` parts (None: until stopped); done if every part was inserted. Raises DriverError."""
+    """Insert ``parts_n`` parts (None: until stopped); done if each was inserted. Raises DriverError, LimitError."""
     taught = settings.cycle
     if taught is None:
         raise SettingsError("cycle: the configuration lacks the table [cycle] with pick and open_mm")
     taught.check(settings.limits)
+    plan = make_plan(settings, 0.0, 0.0, None, None)
+    if live:
+        plan = with_commissioning(settings, plan, asked=asked)
+    plan.check()  # before anything is picked
     show(warning(live=live, simulated=settings.simulated))
     if not live:
         return _rehearse(settings, taught)
-    plan = with_commissioning(settings, make_plan(settings, 0.0, 0.0, None, None), asked=asked)
     return asyncio.run(_cycle(settings, taught, parts_n, log, plan))
 
 

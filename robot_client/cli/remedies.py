@@ -41,7 +41,7 @@ REMEDIES: tuple[tuple[str, str], ...] = (
     (r"no token|token_file", "Give the file that the service names at its start: service.token_file."),
     (r"(Name or service|resolve|not known|getaddrinfo)", "That name is unknown here: give the address."),
     (r"(GET|POST) /|ConnectError|ConnectTimeout", "Check robot.rws.url, the controller's network and the firewall."),
-    (r"forbidden|4403|HTTP 40[13]", "The token is another service's: give service.token_file of this one."),
+    (r"forbidden", "The token is another service's: give service.token_file of this one."),
     (r"protocol", "Client and service are of different versions: update the older one."),
     (r"service|ws://|connect|no answer", "Start the service (`tactile-insertion serve`), or correct service.url."),
 )

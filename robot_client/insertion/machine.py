@@ -293,8 +293,8 @@ def _on_no_decision(state: State, message: wire.NoDecision, at_s: float) -> Resu
     """Probe the same spot again, the only motion without a guess; not for ever, and never in a miswired cell."""
     if state.plan.only_probes:
         return lift(state, at_s)
-    count = state.no_decisions + 1
-    if message.reason in {"non_finite", "contradictory"} or count > state.plan.max_no_decisions:
-        code = "contradictory" if message.reason == "contradictory" else "no_decision"
-        return fail(state, "service", code, f"{message.reason}: {message.detail}")
-    return retract(replace(state, no_decisions=count), 0.0, 0.0, at_s)
+    if message.reason == "contradictory":
+        return fail(state, "service", message.reason, message.detail)
+    if message.reason == "non_finite" or state.no_decisions >= state.plan.max_no_decisions:
+        return fail(state, "service", "no_decision", f"{message.reason}: {message.detail}")
+    return retract(replace(state, no_decisions=state.no_decisions + 1), 0.0, 0.0, at_s)

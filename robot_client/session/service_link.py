@@ -6,13 +6,14 @@ a service that does not answer them is a lost link, even while TCP still holds.
 
 import asyncio
 import contextlib
+import http
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from pydantic import Field
 from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import ConnectionClosed, WebSocketException
+from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 
 from robot_client.insertion.events import Failure, FromService
 from robot_client.ports import DriverError, Post
@@ -82,6 +83,10 @@ class ServiceLink:
                 max_size=wire.MAX_TEXT_BYTES,
                 proxy=None,
             )
+        except InvalidStatus as error:
+            refused = error.response.status_code == http.HTTPStatus.FORBIDDEN
+            why = "its token (service.token_file) or the path of the address is wrong" if refused else str(error)
+            raise DriverError(f"service: {settings.url} refuses this client: {why}") from None
         except (OSError, TimeoutError, WebSocketException, ValueError) as error:
             raise DriverError(f"service: cannot connect to {settings.url}: {type(error).__name__} {error}") from None
         self._silence.heard(time.monotonic())

@@ -54,14 +54,14 @@ class MjpegSource:
             kind = response.headers.get_content_type()
             if response.status != http.HTTPStatus.OK or not kind.startswith("multipart/"):
                 raise CameraError(f"answered {response.status} {kind}, expected 200 multipart/x-mixed-replace")
-            boundary = response.headers.get_boundary("").strip("-").encode()
+            boundary = _delimiter(response.headers.get_boundary(""))
             if sock is not None:
                 sock.settimeout(READ_TIMEOUT_S)
-            yield from self._parse(_Stream(response, sock), b"--" + boundary, stop)
+            yield from self._parse(_Stream(response, sock), boundary, stop)
         finally:
             connection.close()
 
-    def _parse(self, stream: "_Stream", boundary: bytes, stop: threading.Event) -> Iterator[Capture]:
+    def _parse(self, stream: "_Stream", boundary: re.Pattern[bytes], stop: threading.Event) -> Iterator[Capture]:
         stamp_ns, same_clock = now_ns(), False
         while not stop.is_set():
             header_end = stream.held.find(b"\r\n\r\n")
@@ -105,7 +105,7 @@ class _Stream:
             raise CameraError(f"nothing was read for {silent_s:.1f} s: without stamps, what waited may be old")
         return bool(data)
 
-    def holds_another(self, boundary: bytes) -> bool:
+    def holds_another(self, boundary: re.Pattern[bytes]) -> bool:
         """Whether the next part has arrived as a whole; reads what waits in the socket."""
         while len(self.held) <= MAX_JPEG_BYTES and self._waits():
             if not self.fill():
@@ -115,7 +115,7 @@ class _Stream:
             return False
         length = _length(bytes(self.held[:header_end]))
         begin = header_end + 4
-        return self.held.find(b"\r\n" + boundary, begin) >= 0 if length is None else len(self.held) >= begin + length
+        return bool(boundary.search(self.held, begin)) if length is None else len(self.held) >= begin + length
 
     def _waits(self) -> bool:
         """Whether something waits in the socket, which closes with the response."""
@@ -126,23 +126,33 @@ class _Stream:
         return bool(waiting.poll(0))
 
 
+def _delimiter(boundary: str) -> re.Pattern[bytes]:
+    """What ends a part. Some cameras count the dashes, which stand before each boundary, as part of its name."""
+    name = boundary.strip("-").encode()
+    return re.compile(rb"--+" + re.escape(name) if name else rb"\r\n--+")
+
+
 def _length(header: bytes) -> int | None:
     length = _LENGTH.search(header)
     return int(length[1]) if length else None
 
 
-def _body(stream: _Stream, length: int | None, boundary: bytes) -> bytes | None:
+def _body(stream: _Stream, length: int | None, boundary: re.Pattern[bytes]) -> bytes | None:
     """The next part's bytes by its length, or up to the next boundary; None at the end of the stream."""
     while True:
-        end = length if length is not None else stream.held.find(b"\r\n" + boundary)
+        end = length if length is not None else _start(boundary.search(stream.held))
         if 0 <= end <= len(stream.held):
             body = bytes(stream.held[:end])
             del stream.held[:end]
-            return body
+            return body if length is not None else body.removesuffix(b"\r\n")
         if len(stream.held) > MAX_JPEG_BYTES or end > MAX_JPEG_BYTES:
             raise CameraError(f"a part is larger than {MAX_JPEG_BYTES} bytes")
         if not stream.fill():
             return None
+
+
+def _start(match: re.Match[bytes] | None) -> int:
+    return -1 if match is None else match.start()
 
 
 def header_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False) -> int:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract.wire import Correction
+from service.contract.wire import Correction, Estimate
 from service.contract.words.wiring import WIRINGS
 from service.decision.evidence import Refusal
 from service.perception.observation import PairObservation
@@ -118,22 +118,25 @@ class Consistency:
     _attempts_n: int = 0
     _one_sided: int = 0
 
-    def add(self, correction: Correction, both: PairObservation) -> None:
-        """Add an attempt's correction and last pair. Raises Refusal that names the likely causes."""
+    def add(self, estimate: Estimate, both: PairObservation) -> None:
+        """Add an attempt's estimate and last pair. Raises Refusal that names the likely causes."""
         self.add_sides(both)
         self._attempts_n += 1
         if self._attempts_n > CHECKED_N:
             return
-        estimate = correction.estimate
         measured = np.array([estimate.dx_mm, estimate.dtheta_deg])
         sigma = np.array([estimate.sigma_x_mm or UNKNOWN[0], estimate.sigma_theta_deg or UNKNOWN[1]])
         sure = bool((sigma < SURE).all())
         for followed in self._followed.values():
             followed.learn(measured, sigma, sure=sure, sure_once=self._sure_once)
-            followed.move(np.array([correction.dx_mm, correction.dtheta_deg]))
         self._sure_once |= sure
         if causes := self.causes():
             raise Refusal("contradictory", f"the estimates contradict the moves: {'; or '.join(causes)}")
+
+    def move(self, correction: Correction) -> None:
+        """Follow the move that answers the attempt added last."""
+        for followed in self._followed.values():
+            followed.move(np.array([correction.dx_mm, correction.dtheta_deg]))
 
     def add_sides(self, both: PairObservation) -> None:
         """Add the last pair of an attempt, decided or not. Raises Refusal where one picture is mirrored."""

@@ -12,8 +12,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from service.contract.frames import first_error
 from service.contract.replies import descended_n
 from service.contract.wire_parts import errors_left
+from service.recordings.names import NAME
 from service.recordings.recovery import is_being_written
-from service.recordings.writer import NAME, UNREADABLE
+from service.recordings.writer import UNREADABLE
 
 
 class Decided(BaseModel):

@@ -1,20 +1,15 @@
-"""What deciding a recorded insertion again takes: its networks, and memory for all of its pictures at once."""
+"""What deciding a recorded insertion again takes: its networks, and memory for all of its messages at once."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from mcap.reader import McapReader
-
-from service.contract import FINGERS
-from service.recordings.reader import RecordingError, opened, pixels_of
-from service.recordings.writer import FINAL, IMAGE
-
-TOPICS = {f"/{finger}/{name}" for finger in FINGERS for name in IMAGE.values()}
+from service.recordings.reader import RecordingError, opened
+from service.recordings.writer import FINAL
 
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """``networks``: SHA-256 of those that decided; ``bytes_n``: of the file, and of all its pictures, decoded."""
+    """``networks``: SHA-256 of those that decided; ``bytes_n``: of all messages, pictures as they were recorded."""
 
     networks: frozenset[str]
     bytes_n: int
@@ -36,20 +31,10 @@ def needed(path: Path) -> Need:
 
 
 def _read(path: Path) -> tuple[dict[str, str], int]:
-    """The metadata of a recording, and the bytes that it takes."""
+    """The metadata of a recording, and the bytes of all its messages."""
     with opened(path) as reader:
         about = next((dict(m.metadata) for m in reader.iter_metadata() if m.name == "insertion"), {})
-        return about, path.stat().st_size + _pictures_bytes(reader)
-
-
-def _pictures_bytes(reader: McapReader) -> int:
-    """Of all pictures, each as large as the first one of its topic."""
-    summary, bytes_n = reader.get_summary(), 0
-    if summary is None or summary.statistics is None:
-        raise RecordingError("the recording has no summary")
-    for number, channel in summary.channels.items():
-        count = summary.statistics.channel_message_counts.get(number, 0)
-        if channel.topic in TOPICS and count:
-            _, _, first = next(reader.iter_messages([channel.topic]))
-            bytes_n += count * pixels_of(channel.topic, first.data).nbytes
-    return bytes_n
+        summary = reader.get_summary()
+        if summary is None:
+            raise RecordingError("the recording has no summary")
+        return about, sum(chunk.uncompressed_size for chunk in summary.chunk_indexes)

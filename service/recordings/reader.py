@@ -2,7 +2,7 @@
 
 import contextlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -103,13 +103,32 @@ class Recording:
         """The messages of one topic, in the order they were written."""
         return [entry for entry in self.entries if entry.topic == topic]
 
-    def frames(self, finger: Finger) -> dict[int, TactileFrame]:
+    def frames(self, finger: Finger) -> "Frames":
         """Every recorded frame of a finger by sequence number, with its exact stamp and pixels."""
-        return {
-            entry.seq: TactileFrame(finger, entry.seq, entry.log_ns - self.offset_ns, pixels_of(topic, entry.data))
-            for topic in (f"/{finger}/{name}" for name in IMAGE.values())
-            for entry in self.of(topic)
-        }
+        topics = [f"/{finger}/{name}" for name in IMAGE.values()]
+        return Frames(finger, {one.seq: one for topic in topics for one in self.of(topic)}, self.offset_ns)
+
+
+class Frames(Mapping[int, TactileFrame]):
+    """Frames by sequence number, each decoded when it is asked for; only the newest of these is kept."""
+
+    def __init__(self, finger: Finger, entries: dict[int, Entry], offset_ns: int) -> None:
+        self._finger: Finger = finger
+        self._entries, self._offset_ns = entries, offset_ns
+        self._newest: TactileFrame | None = None
+
+    def __getitem__(self, seq: int) -> TactileFrame:
+        entry = self._entries[seq]
+        if self._newest is None or self._newest.seq != seq:
+            pixels = pixels_of(entry.topic, entry.data)
+            self._newest = TactileFrame(self._finger, seq, entry.log_ns - self._offset_ns, pixels)
+        return self._newest
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._entries)
+
+    def __len__(self) -> int:
+        return len(self._entries)
 
 
 def pixels_of(topic: str, data: bytes) -> NDArray[np.uint8]:

@@ -53,7 +53,8 @@ def _closed(part: Path) -> bool:
     except BlockingIOError:  # it has its writer
         return False
     except Exception as error:
-        part.with_name(RECOVERING).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # of a disk that is read-only now
+            part.with_name(RECOVERING).unlink()
         log.warning("recording not recovered", path=str(part), error=repr(error))
         return False
 

@@ -5,7 +5,8 @@ import os
 import shutil
 from pathlib import Path
 
-from service.recordings.writer import MAX_INSERTION_BYTES, NAME
+from service.recordings.names import NAME
+from service.recordings.writer import MAX_INSERTION_BYTES
 
 MIN_FREE_BYTES = 200 << 20  # for a long insertion with both cameras at 90 fps
 

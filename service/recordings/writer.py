@@ -35,7 +35,6 @@ import fcntl
 import json
 import os
 import queue
-import re
 import threading
 import time
 import zipfile
@@ -53,9 +52,9 @@ from service.cameras.capture import CameraFrame
 from service.contract import TactileFrame, wire
 from service.perception.observation import Observation
 from service.recordings.messages import image_message, markers_message
+from service.recordings.names import name_after
 from service.recordings.schemas import CompressedImage, Markers, RawImage, descriptor_set, encode, json_schema
 
-NAME = re.compile(r"[0-9]{8}T[0-9]{6,12}_[A-Za-z0-9_-]{1,64}")  # of a recording's folder
 FLUSH_S = 0.2  # most recent time that a kill may lose, besides a chunk in progress
 MAX_WAITING_BYTES = 64 << 20  # of frames and markers; about 10 s of JPEG at 2 x 60 fps
 MAX_INSERTION_BYTES = 2 << 30
@@ -136,7 +135,7 @@ class Recorder:
     def __post_init__(self) -> None:
         """Create the folder and start writing; raises OSError if the folder cannot be written."""
         started = datetime.now(UTC)
-        self.folder = self.root / f"{started:%Y%m%dT%H%M%S%f}_{self.insertion_id}"
+        self.folder = self.root / name_after(self.root, self.insertion_id, started)
         self.folder.mkdir(parents=True)
         self._offset_ns = time.time_ns() - time.monotonic_ns()
         self._stream = (self.folder / PART).open("wb")

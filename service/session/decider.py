@@ -84,12 +84,14 @@ class Decider:
         started = time.perf_counter()
         try:
             check_evidence(self.models, attempt, evidence)
+            if self.consistency is not None:  # first, or the controller would learn what cannot be trusted, and move
+                self.consistency.add(evidence.estimate(), attempt.ring[-1])
             command = self.controller.decide(evidence, attempt.arm.attempt)
-            decided = correction(self.insertion_id, attempt, evidence, command, latency_ms)
-            if self.consistency is not None:
-                self.consistency.add(decided, attempt.ring[-1])
         except Refusal as refusal:
             return self._refuse(attempt, refusal)
+        decided = correction(self.insertion_id, attempt, evidence, command, latency_ms)
+        if self.consistency is not None:
+            self.consistency.move(decided)
         latency_ms = latency_ms | {
             "controller": (time.perf_counter() - started) * 1e3,
             "since_last_frame": (now_ns - attempt.decision_pairs[-1].captured_ns) / 1e6,

@@ -21,8 +21,9 @@ from service.decision.attempt import WorkResult
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from service.perception.rectification import Calibration
-from service.recordings.reader import Recording, RecordingError
-from service.recordings.writer import FINAL, NAME
+from service.recordings.names import NAME
+from service.recordings.reader import Frames, Recording, RecordingError
+from service.recordings.writer import FINAL
 from service.session.factory import make_session
 from service.session.state_machine import InsertionSession
 from service.settings import Deadlines
@@ -53,7 +54,7 @@ class Replay:
 
     recording: Recording
     session: InsertionSession
-    frames: dict[str, dict[int, TactileFrame]]
+    frames: dict[str, Frames]
     work: deque[Work] = field(default_factory=deque)
     replies: list[dict[str, Any]] = field(default_factory=list)
 

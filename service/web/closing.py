@@ -11,6 +11,7 @@ from fastapi import WebSocket, WebSocketDisconnect
 
 NORMAL, GOING_AWAY, UNSUPPORTED, POLICY_VIOLATION, BROKEN, TRY_AGAIN_LATER = 1000, 1001, 1003, 1008, 1011, 1013
 MAX_REASON_BYTES = 123  # capacity of a close frame
+STREAM = "/stream.mjpg"  # end of the addresses whose answer ends with its reader only
 CLOSE_S = 1.0  # for a close frame to a client that may have stopped reading
 log = structlog.get_logger()
 

@@ -16,6 +16,7 @@ from fastapi import FastAPI
 
 from service.contract import ContractError
 from service.settings import Settings, SettingsError
+from service.web.closing import STREAM
 
 HEAD_TIMEOUT_S = 10.0  # without a complete request
 READ_TIMEOUT_S = 20.0  # without any sign of the client reading
@@ -109,6 +110,18 @@ class Loop(asyncio.SelectorEventLoop):
         return await super().create_server(*args, **options)
 
 
+class Server(uvicorn.Server):
+    """Waits at its end for answers under way, but not for streams of pictures, which end with their viewers only."""
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Stop, as the standard one."""
+        for connection in tuple(self.server_state.connections):
+            cycle = getattr(connection, "cycle", None)
+            if cycle is not None and cycle.scope["path"].endswith(STREAM):
+                connection.transport.close()
+        await super().shutdown(sockets)
+
+
 def web_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
     """The web server: limited in time, size and number; no compression, which costs more than the network.
 
@@ -135,6 +148,6 @@ def web_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
         ssl_certfile=str(settings.tls_certificate) if settings.tls_certificate else None,
         ssl_keyfile=str(settings.tls_key) if settings.tls_key else None,
     )
-    server = uvicorn.Server(config)
+    server = Server(config)
     waiting.connections = server.server_state.connections
     return server

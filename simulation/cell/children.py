@@ -1,6 +1,7 @@
 """Child processes of a run: each with its own session and log file, ended in order whatever happens."""
 
 import contextlib
+import ctypes
 import os
 import signal
 import subprocess
@@ -28,6 +29,16 @@ class ChildError(RuntimeError):
         self.code = code
 
 
+_PRCTL = getattr(ctypes.CDLL(None), "prctl", None)
+_PR_SET_PDEATHSIG = 1
+
+
+def _end_with_parent() -> None:
+    """Ask the kernel to end this child when its run dies without ending it: it would play on, with priority."""
+    if _PRCTL is not None:
+        _PRCTL(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
 class Child:
     """``python -m MODULE ARGUMENTS`` with its output in a log file, in its own session.
 
@@ -47,6 +58,7 @@ class Child:
                 stdin=subprocess.DEVNULL,
                 env=os.environ | _ONE_THREAD,
                 start_new_session=True,
+                preexec_fn=_end_with_parent,  # noqa: PLW1509 - one call of the kernel, from the only thread
             )
 
     def __enter__(self) -> Self:

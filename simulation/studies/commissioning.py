@@ -188,11 +188,13 @@ def _lessons(cell: Cell, plan: Plan, labelled: Sequence[Path]) -> dict[str, Sequ
 def _pressed_around(cell: Cell, plan: Plan) -> tuple[Path | None, float]:
     """Press the cell's objects in simulated cells with the grip and height given to its client; the folder, seconds.
 
-    No folder if an object cannot be pressed there: it always goes in, or falls from the hand.
+    A grip or height that differs from object to object is drawn. No folder if an object cannot be pressed there: it
+    always goes in, or falls from the hand.
     """
-    held = next(iter(cell.objects.values())).grasp
-    told_mm = held.height_mm + cell.world.unstated.told_height_error_mm
-    tables: drawn.Tables = {"grasp": {"force_n": held.force_n, "height_mm": told_mm}, "gel": {"tier": "bristle"}}
+    grasps, error_mm = [scene.grasp for scene in cell.objects.values()], cell.world.unstated.told_height_error_mm
+    stated = {"force_n": {one.force_n for one in grasps}, "height_mm": {one.height_mm + error_mm for one in grasps}}
+    shared = {key: values.pop() for key, values in stated.items() if len(values) == 1}
+    tables: drawn.Tables = {"grasp": shared, "gel": {"tier": "bristle"}}
     pressed_by = sources_sha256("simulation.data.collect")
     which = [pressed_by, plan.around, tables, {name: scene.sha256 for name, scene in cell.objects.items()}]
     out = cell.folder / f"around-{_digest(json.dumps(which).encode())}"

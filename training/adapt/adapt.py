@@ -91,6 +91,7 @@ def adapt(
 ) -> Comparison:
     """Fit the released checkpoint ``start`` to ``recordings``; write ``out/checkpoint.pt`` if it is accepted.
 
+    If it is not, the checkpoint of an earlier run becomes ``earlier.pt``: it must not pass for this one's.
     ``around``: a dataset of presses simulated around the cell, for the stage of that name. ``record``: of the cell's
     commissioning, see `read_episodes`. Raises ContractError where there is nothing to learn from, where the checkpoint
     reads no depth, or where it was adapted to some of these recordings or does not say to which: no figure would be on
@@ -108,8 +109,11 @@ def adapt(
     chosen = tuple(stage for stage in stages if stage != "around" or presses)
     held = hold_out(release, samples, chosen, seed, presses)
     comparison = replace(compare(release, samples, held, seed), gap=gap)
+    written = out / "checkpoint.pt"
     if comparison.accepted:
-        _fitted(comparison, release, samples, held[comparison.best], seed, presses).save(out / "checkpoint.pt")
+        _fitted(comparison, release, samples, held[comparison.best], seed, presses).save(written)
+    elif written.is_file() and not written.samefile(start):
+        written.replace(written.with_name("earlier.pt"))
     return comparison
 
 

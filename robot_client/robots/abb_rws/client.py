@@ -108,7 +108,8 @@ class RwsClient:
             raise RwsError(f"operating mode is {status.operating_mode}, expected AUTO; turn the key switch")
         if status.controller != "motoron":
             if status.controller != "motoroff" or not self.settings.switch_motors_on:
-                raise RwsError(f"controller state is {status.controller}, expected motoron; release the stop by hand")
+                remedy = "release the stop, then switch the motors on"
+                raise RwsError(f"controller state is {status.controller}, expected motoron; {remedy}")
             await self._order("motors", {"ctrl-state": "motoron"})
             await self._until("ctrlstate", "motoron", self.settings.motors_timeout_s)
         if not self._is_fast(status):
@@ -131,11 +132,18 @@ class RwsClient:
                     asked = True
                 last = await self.execution()
                 if last == "stopped":
-                    return "controller confirms: program stopped"
+                    return f"controller confirms: program stopped{await self._why_without_motors()}"
             except RwsError as error:
                 last, asked = str(error), False
             await asyncio.sleep(self.settings.poll_s)
         return f"{NOT_CONFIRMED} by the controller ({last}): use the stop button"
+
+    async def _why_without_motors(self) -> str:
+        """The controller's state if its motors are off, since then the program did not stop for us alone."""
+        with contextlib.suppress(RwsError):
+            state = await self._state("ctrlstate")
+            return "" if state == "motoron" else f", controller {state}"
+        return ""
 
     async def read_signal(self, name: str) -> bool:
         """Whether a digital signal of the controller is on; raises RwsError."""

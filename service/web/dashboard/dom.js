@@ -5,3 +5,13 @@ export const at = (id) => document.getElementById(id);
 export const element = (kind, properties = {}, ...children) => { const made = Object.assign(document.createElement(kind), properties); made.append(...children); return made; };
 export const ending = ({ outcome, cause }) => (cause === "afresh" ? "regrasped" : (outcome ?? "").replaceAll("_", " "));
 export const withToken = (path) => (token ? `${path}${path.includes("?") ? "&" : "?"}token=${encodeURIComponent(token)}` : path);
+
+// What the service answers: whether it did as asked, its status, and what it tells. One that is not there is an error, too.
+export async function ask(path, options) {
+  try {
+    const answer = await fetch(withToken(path), options);
+    return { ok: answer.ok, status: answer.status, told: await answer.json() };
+  } catch {
+    return { ok: false, status: 0, told: { error: "The service does not answer: try again" } };
+  }
+}

@@ -1,5 +1,5 @@
 // Insertions of the past: a table with filters, and how attempts, intervals and reach have gone.
-import { at, element, ending, withToken } from "/dashboard/dom.js";
+import { ask, at, element, ending } from "/dashboard/dom.js";
 import { chart } from "/dashboard/charts.js";
 import { play } from "/dashboard/player.js";
 
@@ -10,9 +10,9 @@ let all = [];
 
 export async function listPast() {
   if (at("history").hidden) return;
-  const answer = await fetch(withToken("/v1/recordings"));
-  if (!answer.ok) return;
-  const { recordings, problems } = await answer.json();
+  const { ok, told } = await ask("/v1/recordings");
+  if (!ok) return;
+  const { recordings, problems } = told;
   all = recordings;
   for (const one of [...all].reverse()) one.attempts = one.descended_n + earlier(one);
   at("problems").replaceChildren(...problems.map((textContent) => element("p", { className: "bad", textContent })));
@@ -32,8 +32,8 @@ function options(select, values) {
 
 function show() {
   const chosen = all.filter((one) => Object.entries(FILTERS).every(([key, id]) => at(id).value === "*" || (one[key] ?? "") === at(id).value));
-  const inserted = chosen.filter(({ outcome }) => outcome === "inserted"), ended = chosen.filter(({ cause }) => cause !== "afresh");
-  at("count").textContent = chosen.length ? `${inserted.length} of ${ended.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}` : "none";
+  const inserted = chosen.filter(({ outcome }) => outcome === "inserted"), ended = chosen.filter(({ outcome }) => outcome !== "aborted"); // by a person, as a probe, or to be regrasped
+  at("count").textContent = ended.length ? `${inserted.length} of ${ended.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}` : chosen.length ? `${chosen.length} aborted` : "none";
   at("past").replaceChildren(...chosen.slice(0, 500).map(row));
   trend(ended.slice(0, 500).reverse());
 }

@@ -1,12 +1,16 @@
 // The page shows one state, which the service sends whole on connecting and after each change; it keeps none of its own.
-import { at, element, withToken } from "/dashboard/dom.js";
+import { ask, at, element, withToken } from "/dashboard/dom.js";
 import { drawFelt } from "/dashboard/felt.js";
 import { drawAbove, drawSide } from "/dashboard/place.js";
 import { listPast } from "/dashboard/history.js";
 
 const clock = (seconds) => new Date(1000 * seconds).toLocaleTimeString("en-GB");
 const SILENT_MS = 5000;
+const NO_LINK = ["The page has no connection to the service", "What is shown below is old. It connects again by itself."];
+const NO_TOKEN = ["The address of this page lacks the token, or has a wrong one", "Open it with ?token= and the token of --token-watch behind the address."];
+const TOO_MANY = ["Too many pages are open", "This one connects by itself once another one is closed."];
 let newest = null;
+let noLink = NO_LINK;
 let grew = { count: undefined, at: -Infinity };
 
 function show(status) {
@@ -56,7 +60,7 @@ function showAlarms(alarms, open) {
 
 async function acknowledge(number) {
   document.activeElement?.blur();
-  await fetch(withToken(`/v1/alarms/${number}/acknowledge`), { method: "POST" });
+  await ask(`/v1/alarms/${number}/acknowledge`, { method: "POST" });
 }
 
 // Frames dropped within the last minute; what happened long ago must not stay red until the service restarts.
@@ -87,18 +91,26 @@ function view() {
   if (history) listPast();
 }
 
+function showLost([words, detail]) {
+  at("headline").className = "stop";
+  if (at("words").textContent !== words) at("words").textContent = words;
+  at("detail").textContent = detail;
+}
+
 // The service sends its state every second. A link that is half open never closes, so silence ends it, too.
 function connect() {
   const socket = new WebSocket(withToken(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/v1/live`));
   let patience = setTimeout(lost, SILENT_MS);
-  function lost() {
+  function lost({ code } = {}) {
     clearTimeout(patience);
     socket.onmessage = socket.onclose = null;
     socket.close();
-    at("headline").className = "stop";
-    at("words").textContent = "The page has no connection to the service";
-    at("detail").textContent = "What is shown below is old. It connects again by itself.";
+    showLost(code === 1013 ? TOO_MANY : noLink);
     setTimeout(connect, 1000);
+    ask("/v1/status", { signal: AbortSignal.timeout(SILENT_MS) }).then(({ status }) => { // a browser hides why it was not let in
+      noLink = status === 401 ? NO_TOKEN : NO_LINK;
+      if (noLink === NO_TOKEN) showLost(noLink);
+    });
   }
   socket.onclose = lost;
   socket.onmessage = ({ data }) => {

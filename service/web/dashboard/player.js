@@ -1,5 +1,5 @@
 // Playback of one insertion: what both fingers felt, and slip, push and depth, all at one moment of one time axis.
-import { at, element, ending, withToken } from "/dashboard/dom.js";
+import { ask, at, element, ending, withToken } from "/dashboard/dom.js";
 import { chart } from "/dashboard/charts.js";
 import { drawFelt } from "/dashboard/felt.js";
 
@@ -15,10 +15,9 @@ export async function play(one) {
   at("curves").replaceChildren();
   at("then").textContent = "Reading the recording";
   at("player").showModal();
-  const answer = await fetch(withToken(`${mine.base}/timeline`));
-  const told = await answer.json();
+  const { ok, told } = await ask(`${mine.base}/timeline`);
   if (shown !== mine) return;
-  if (!answer.ok) { at("then").textContent = told.error; return; }
+  if (!ok) { at("then").textContent = told.error; return; }
   Object.assign(mine, { moments: told.moments, events: told.events });
   at("scrub").max = Math.max(0, told.moments.length - 1);
   await draw(mine, told);
@@ -65,10 +64,10 @@ async function show() {
   for (const plot of mine.plots) plot.setCursor({ left: plot.valToPos(moment.t, "x"), top: 0 }, false);
   const number = (asked += 1);
   for (const finger of ["left", "right"]) {
-    const answer = await fetch(withToken(`${mine.base}/moments/${finger}/${moment[finger]}`));
-    const felt = await answer.json();
-    if (number !== asked || shown !== mine || !answer.ok) return;
-    drawFelt(at(`${finger}-then`), at(`${finger}-then-state`), felt);
+    const { ok, told } = await ask(`${mine.base}/moments/${finger}/${moment[finger]}`);
+    if (number !== asked || shown !== mine) return;
+    if (!ok) { stop(); at("then").textContent = told.error; return; }
+    drawFelt(at(`${finger}-then`), at(`${finger}-then-state`), told);
   }
 }
 
@@ -99,8 +98,7 @@ at("again").onclick = async () => {
   const mine = shown;
   at("answer").hidden = false;
   at("answer").textContent = "Deciding again with the networks that decided it";
-  const answer = await fetch(withToken(`${mine.base}/decide`), { method: "POST" });
-  const told = await answer.json();
+  const { ok, told } = await ask(`${mine.base}/decide`, { method: "POST" });
   if (shown !== mine) return;
-  at("answer").textContent = answer.ok ? told.lines.join("\n") : told.error;
+  at("answer").textContent = ok ? told.lines.join("\n") : told.error;
 };

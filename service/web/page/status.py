@@ -33,6 +33,8 @@ class Status:
         self._running: Running | None = None
         self._continues: str | None = None
         self._last, self._put_back = newest(station.settings.recordings)  # the latter: on its way to a regrasp
+        gone_s = time.time() - self._last.at_s if self._last and self._last.at_s else 0.0
+        self._put_back_s = time.monotonic() - max(0.0, gone_s)  # the clock may have been set back since
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_N)
         self.changes_n = 0
         self._note_interrupted()
@@ -124,6 +126,7 @@ class Status:
         )
         running.descended_n = running.earlier_n + descended_n(cause, message.attempts, message.doubts)
         self._running, self._put_back = None, running if cause == "afresh" else None
+        self._put_back_s = time.monotonic()
         if cause is not None and message.outcome != "aborted":
             detail = "; ".join(doubt.detail for doubt in message.doubts) or running.problem
             self._alarms.sound(
@@ -193,8 +196,8 @@ class Status:
 
     def _note_overdue(self) -> None:
         """Note an overdue regrasp: the arm may have stopped on its way, where the service hears nothing."""
-        waiting, last = self._put_back, self._last
-        if waiting is None or last is None or last.at_s is None or time.time() - last.at_s < AFRESH_S:
+        waiting = self._put_back
+        if waiting is None or time.monotonic() - self._put_back_s < AFRESH_S:
             return
         self._put_back, named = None, waiting.insertion_id
         title, detail = "Holding: the object was to be regrasped", f"Nothing went on within {AFRESH_S:g} s."

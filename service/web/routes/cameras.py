@@ -17,7 +17,16 @@ from service.contract.frames import Contract
 from service.contract.wire import CameraEntry
 from service.session.station import Station
 from service.web.access import Access
-from service.web.closing import GOING_AWAY, TRY_AGAIN_LATER, UNSUPPORTED, Ending, close, until_gone, until_one_ends
+from service.web.closing import (
+    GOING_AWAY,
+    STREAM,
+    TRY_AGAIN_LATER,
+    UNSUPPORTED,
+    Ending,
+    close,
+    until_gone,
+    until_one_ends,
+)
 
 BOUNDARY = "frame"
 MAX_VIEWERS = 16
@@ -45,7 +54,7 @@ def router(station: Station, access: Access) -> APIRouter:
     async def cameras() -> Cameras:
         return Cameras(cameras=station.camera_entries())
 
-    @routes.get("/{finger}/stream.mjpg", dependencies=watch, response_class=Mjpeg)
+    @routes.get("/{finger}" + STREAM, dependencies=watch, response_class=Mjpeg)
     async def stream(finger: Finger, max_hz: MaxHz = 10.0) -> Mjpeg:
         if station.viewers_n >= MAX_VIEWERS:
             raise HTTPException(429, f"{MAX_VIEWERS} viewers are connected, no more are served")

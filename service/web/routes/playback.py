@@ -3,6 +3,7 @@
 import asyncio
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,17 @@ from service.recordings.writer import FINAL
 from service.session.station import Station
 from service.web.access import Access
 from service.web.page.playback import moment, timeline
+from service.web.reading import Reading
 from service.web.routes.recordings import recording_folder
 
 AGAIN_S = 120.0
-MOST_AGAIN_BYTES = 320_000_000  # about 780 pictures: beside the service, within the memory that its unit is given
+LOOK_S = 0.1
+MOST_AGAIN_BYTES = 320_000_000  # beside the service, within the memory that its unit is given
 
 
 def router(station: Station, access: Access) -> APIRouter:
     routes = APIRouter(prefix="/v1/recordings/{name}", tags=["recordings"], dependencies=[access.require("watch")])
-    deciding = asyncio.Lock()
+    deciding, reading = asyncio.Lock(), Reading(station)
 
     def file_of(name: str) -> Path:
         path = recording_folder(station.settings.recordings, name) / FINAL
@@ -33,19 +36,19 @@ def router(station: Station, access: Access) -> APIRouter:
     @routes.get("/timeline")
     async def curves(name: str) -> dict[str, Any]:
         """Slip, push and depth over time, what happened, and the moments that can be looked at."""
-        return await asyncio.to_thread(timeline, file_of(name))
+        return await reading(timeline, file_of(name))
 
     @routes.get("/moments/{finger}/{at_ns}")
     async def felt(name: str, finger: Finger, at_ns: int) -> dict[str, Any]:
         """What a finger felt at a moment: its picture, its markers, which of them slip."""
-        return await asyncio.to_thread(moment, file_of(name), finger, at_ns)
+        return await reading(moment, file_of(name), finger, at_ns)
 
     @routes.post("/decide")
     async def decide_again(name: str) -> dict[str, Any]:
         """Decide the whole insertion again, in a process of its own, with the networks that decided it.
 
         They must be loaded: active, beside, or released; otherwise ``same`` is null and the answer names them. 422 if
-        the recording, with its pictures decoded, fills more than 320 MB.
+        the recording fills more than 320 MB.
         """
         path = file_of(name)
         if station.active is not None or deciding.locked():
@@ -55,26 +58,36 @@ def router(station: Station, access: Access) -> APIRouter:
             if need.bytes_n > MOST_AGAIN_BYTES:
                 raise HTTPException(422, _too_large(need.bytes_n))
             models = station.versions.with_hashes(need.networks)
-            return await _replayed(path, models.steps[0].path.parent)
+            return await _replayed(path, models.steps[0].path.parent, lambda: station.active is not None)
 
     return routes
 
 
-async def _replayed(path: Path, models: Path) -> dict[str, Any]:
-    """What `service replay` says of a recording; ``same`` None where it could not be decided again."""
+async def _replayed(path: Path, models: Path, busy: Callable[[], bool]) -> dict[str, Any]:
+    """What `service replay` says of a recording; ``same`` None where it could not be decided again.
+
+    It ends as soon as the service is ``busy``: an insertion needs the processor.
+    """
     command = (sys.executable, "-m", "service", "replay", str(path), "--models", str(models))
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(
         *command, stdout=pipe, stderr=asyncio.subprocess.STDOUT, preexec_fn=_politely
     )
+    output = asyncio.create_task(process.communicate())
     try:
         async with asyncio.timeout(AGAIN_S):
-            output, _ = await process.communicate()
+            while not output.done():
+                if busy():
+                    raise HTTPException(409, "busy: an insertion has begun")
+                await asyncio.wait([output], timeout=LOOK_S)
     except TimeoutError:
-        process.kill()
         raise HTTPException(504, f"not decided again within {AGAIN_S:g} s") from None
+    finally:
+        if process.returncode is None:
+            process.kill()
+    lines, _ = await output
     same = {0: True, 1: False}.get(process.returncode if process.returncode is not None else -1)
-    return {"same": same, "lines": output.decode(errors="replace").splitlines()[-20:]}
+    return {"same": same, "lines": lines.decode(errors="replace").splitlines()[-20:]}
 
 
 def _too_large(bytes_n: int) -> str:

@@ -10,9 +10,11 @@ from pydantic import BaseModel
 from pydantic_core import to_json
 
 from service.recordings.listing import Summary, each_recording
-from service.recordings.writer import FINAL, NAME
+from service.recordings.names import NAME
+from service.recordings.writer import FINAL
 from service.session.station import Station
 from service.web.access import Access
+from service.web.reading import Reading
 
 
 class Listed(Summary):
@@ -60,11 +62,11 @@ def _list(root: Path) -> bytes:
 def router(station: Station, access: Access) -> APIRouter:
     routes = APIRouter(prefix="/v1/recordings", tags=["recordings"])
     watch, admin = [access.require("watch")], [access.require("admin")]
-    root = station.settings.recordings
+    root, reading = station.settings.recordings, Reading(station)
 
     @routes.get("", dependencies=watch, response_model=Recordings)
     async def recordings() -> Response:
-        return Response(await asyncio.to_thread(_list, root), media_type="application/json")
+        return Response(await reading(_list, root), media_type="application/json")
 
     @routes.get("/{name}", dependencies=watch, response_class=Mcap)
     async def recording(name: str) -> Mcap:

@@ -7,8 +7,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from robot_client.cli.cycle import _cycle
 from robot_client.cli.insert import make_plan
+from robot_client.cli.main import main
 from robot_client.session.recorder import Recorder
 from tests.robot_client.cycle_cell import cell_with
 
@@ -66,3 +69,25 @@ def test_a_part_that_is_not_there_is_named_with_the_controllers_answer_and_a_los
     assert "on nothing; is the object between the fingers?" in outcome.result["reason"]
     assert "robot: controller confirms: program stopped" in lines
     assert "BROKEN OFF: No space left on device" in lines
+
+
+@pytest.mark.parametrize("command", ["cycle", "commission"])
+@pytest.mark.parametrize("mode", ["--live", "--dry-run"])
+@pytest.mark.parametrize(
+    ("toml", "expect"),
+    [
+        ("[task]\nexpected_depth_mm = 60.0", "plan z_mm = -2"),
+        ("[task]\napproach_z_mm = 3.5\n", "plan z_mm"),
+        ("[ramps.travel]\nspeed_mm_s = 500.0\nacceleration_mm_s2 = 1.0\njerk_mm_s3 = 1.0", "ramps.travel"),
+        ("[lease]\nstop_lag_s = 40.0", "lease"),
+    ],
+)
+def test_nothing_is_picked_for_a_plan_that_would_be_refused(command, mode, toml, expect, tmp_path, capsys):
+    """The devices are nowhere: connecting would end with 1, not with 2."""
+    path = tmp_path / "cell.toml"
+    taught = "[cycle]\nopen_mm = 80\n[cycle.pick]\nx_mm = 0\ny_mm = 0\nz_mm = 45\nyaw_deg = 0"
+    nowhere = '[gripper]\nhost = "127.0.0.1"\nport = 1\n[robot]\nrws.url = "http://127.0.0.1:1"'
+    path.write_text(f"simulated = true\n{toml}\n{nowhere}\n{taught}\n")
+    out = ["--out", str(tmp_path / "record")] if command == "commission" else []
+    assert main([command, mode, "--config", str(path), *out]) == 2
+    assert expect in capsys.readouterr().err

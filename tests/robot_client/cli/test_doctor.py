@@ -4,6 +4,8 @@ import asyncio
 import os
 import re
 import socket
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -60,6 +62,25 @@ def forget_token(cell):
     with_(cell, service={"token_file": "/nowhere/token"})
 
 
+class Refusal(BaseHTTPRequestHandler):
+    """A service answers so before a WebSocket is open if it does not know the token."""
+
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self):
+        self.send_error(403)
+
+    def log_message(self, *_):
+        pass
+
+
+def refused_token(cell):
+    server = HTTPServer(("127.0.0.1", 0), Refusal)
+    cell.taken = server.socket
+    threading.Thread(target=server.handle_request, daemon=True).start()
+    with_(cell, service={"url": f"ws://127.0.0.1:{server.server_port}/v1/insertion"})
+
+
 def board(**faults):
     return lambda cell: cell.board.update(faults)
 
@@ -111,6 +132,7 @@ FAULTS = {
     "right camera stalled": (lambda cell: cameras(cell, right="stalled"), "camera", "cable"),
     "camera never came up": (lambda cell: cameras(cell, left="starting"), "camera", "cable"),
     "no token": (forget_token, "service", "token_file"),
+    "another service's token": (refused_token, "service", "token_file"),
     "no service there": (
         lambda cell: with_(cell, service={"url": f"ws://127.0.0.1:{dead_port()}"}),
         "network",

@@ -222,6 +222,15 @@ def test_no_decision_probes_the_same_spot_again_but_not_for_ever():
     assert state.phase is Phase.FAILED
 
 
+@pytest.mark.parametrize(
+    ("reason", "words"), [("contradictory", "contradictory: d"), ("non_finite", "no_decision: non_finite: d")]
+)
+def test_a_reason_that_ends_an_insertion_at_once_is_told_once(reason, words):
+    state, _ = run(TO_DECISION)
+    state, _ = step(state, service(no_decision(1, reason)))
+    assert state.reason == f"service: {words}"
+
+
 def test_a_lost_part_stops_the_descent_and_is_reported_as_dropped():
     state, commands = run([*TO_DESCENT, PartLost(at_s=0.0)])
     assert (state.phase, type(commands[-1])) == (Phase.STOPPING, Hold)

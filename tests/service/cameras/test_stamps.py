@@ -115,3 +115,36 @@ def test_after_a_silence_a_stream_without_stamps_is_reopened() -> None:
         send(1)
         with pytest.raises(CameraError, match="what waited may be old"):
             next(captures)
+
+
+@pytest.mark.parametrize(
+    ("declared", "delimiter", "before"),
+    [
+        ("f", b"--f", b"\r\n"),
+        ("--f", b"--f", b"\r\n"),
+        ("--f", b"----f", b"\r\n"),
+        ('"--f"', b"----f", b"\r\n"),
+        ("--f--", b"----f--", b"\r\n"),
+        ("f", b"--f", b""),
+    ],
+)
+def test_pictures_without_a_length_end_where_the_camera_says(declared: str, delimiter: bytes, before: bytes) -> None:
+    """Cameras differ in whether the dashes belong to the boundary that they declare."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            link, _ = server.accept()
+            with link:
+                link.recv(4096)
+                kind = f"Content-Type: multipart/x-mixed-replace; boundary={declared}"
+                link.sendall(f"HTTP/1.0 200 OK\r\n{kind}\r\n\r\n".encode())
+                for k in range(3):
+                    link.sendall(delimiter + b"\r\nContent-Type: image/jpeg\r\n\r\n--%d" % k + before)
+                    time.sleep(0.05)
+                link.sendall(delimiter)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        captures = list(MjpegSource(f"http://127.0.0.1:{server.getsockname()[1]}/").frames(threading.Event()))
+        thread.join()
+    assert [capture.jpeg for capture in captures] == [b"--0", b"--1", b"--2"]

@@ -50,7 +50,9 @@ def answered(steps: list[tuple[tuple[float, float], tuple[float, float], tuple[f
     consistency = Consistency()
     for here, sigma, move in steps:
         try:
-            consistency.add(correction(here, sigma, move), pair())
+            answer = correction(here, sigma, move)
+            consistency.add(answer.estimate, pair())
+            consistency.move(answer)
         except Refusal as refusal:
             return f"{refusal.reason}: {refusal}"
     return ""
@@ -168,7 +170,9 @@ def mirrored_at(*turns: tuple[float, float]) -> int | None:
     consistency = Consistency()
     for attempt, (left, right) in enumerate(turns, 1):
         try:
-            consistency.add(correction((1.0, 1.0), (4.0, 6.0), (-1.0, -1.0)), pair(left, right))
+            answer = correction((1.0, 1.0), (4.0, 6.0), (-1.0, -1.0))
+            consistency.add(answer.estimate, pair(left, right))
+            consistency.move(answer)
         except Refusal as refusal:
             return attempt if "one picture is mirrored" in str(refusal) else None
     return None

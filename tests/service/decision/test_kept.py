@@ -109,10 +109,11 @@ def test_each_wiring_explains_the_same_estimates_as_well_as_it_did(name: str) ->
     consistency, explained = Consistency(), []
     for here, sigma, move in FOLLOWED[name]:
         try:
-            consistency.add(correction(here, sigma, move), turned_pair())
+            consistency.add(correction(here, sigma, move).estimate, turned_pair())
             answer = ""
         except Refusal as refusal:
             answer = str(refusal)
+        consistency.move(correction(here, sigma, move))
         explained.append([answer, *(followed.log_evidence for followed in consistency._followed.values())])
     is_as_kept(__file__, f"consistency: {name}", explained)
 

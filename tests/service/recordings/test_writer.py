@@ -1,3 +1,4 @@
+import errno
 import json
 import os
 import signal
@@ -5,8 +6,10 @@ import subprocess
 import sys
 import textwrap
 import threading
+import tracemalloc
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
@@ -90,6 +93,21 @@ for index in range(40):
     time.sleep(0.05)
 os.kill(os.getpid(), signal.SIGKILL)
 """
+
+
+def test_of_a_long_recording_few_pictures_fill_memory_at_once(tmp_path: Path) -> None:
+    flat = np.full((320, 427, 3), 90, np.uint8)
+    jpeg = cv2.imencode(".jpg", flat)[1].tobytes()
+    recorder = Recorder(tmp_path, "long", {})
+    for index in range(100):
+        recorder.frame(CameraFrame(TactileFrame("left", index, index + 1, flat), jpeg))
+    path = recorder.close({"outcome": "failed", "attempts": 0})
+    tracemalloc.start()
+    shown = [frame.seq for frame in Recording(path).frames("left").values()]
+    _, most_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert shown == list(range(100))
+    assert most_bytes < 10 * flat.nbytes
 
 
 def test_a_killed_service_leaves_all_but_the_last_second(tmp_path: Path) -> None:
@@ -203,6 +221,24 @@ def test_a_recording_that_cannot_be_recovered_stays_as_it_is_and_stops_nothing(
     ]
 
 
+def test_a_part_on_a_disk_that_is_read_only_now_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "insertion.mcap.part").write_bytes(b"\0" * 1000)
+    really = Path.open
+
+    def read_only(path: Path, mode: str = "r", **more: object) -> object:
+        if mode == "rb":
+            return really(path, mode)
+        return refused(path)
+
+    def refused(path: Path, **_: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr(Path, "open", read_only)
+    monkeypatch.setattr(Path, "unlink", refused)
+    assert recover(tmp_path) == []
+
+
 def test_a_part_that_cannot_even_be_opened_stops_nothing(tmp_path: Path) -> None:
     (tmp_path / "x" / "insertion.mcap.part").mkdir(parents=True)
     assert recover(tmp_path) == []
@@ -226,3 +262,19 @@ def test_an_insertion_that_is_removed_meanwhile_makes_no_trouble_for_the_next_on
     finally:
         ended.set()
         thread.join()
+
+
+@pytest.mark.parametrize("newest", ["20990228T235959999999_far", "20260101T000000_short"])
+def test_a_recording_made_after_the_clock_was_set_back_is_still_the_newest(tmp_path: Path, newest: str) -> None:
+    (tmp_path / newest).mkdir()
+    (tmp_path / newest / "insertion.mcap").write_bytes(b"\0" * 1000)
+    paths = [Recorder(tmp_path, name, {}).close({"outcome": "failed", "attempts": 1}) for name in ("one", "two")]
+    listed, _ = list_recordings(tmp_path)
+    assert [one["insertion_id"] for one in listed] == ["two", "one"]
+    prune(tmp_path, 0)
+    assert [path.name for path in tmp_path.iterdir()] == [paths[-1].parent.name]
+
+
+def test_a_folder_whose_stamp_is_no_time_keeps_nothing_from_being_recorded(tmp_path: Path) -> None:
+    (tmp_path / "99999999T999999_x").mkdir()
+    assert Recorder(tmp_path, "one", {}).close({"outcome": "failed", "attempts": 1}).is_file()

@@ -12,7 +12,7 @@ import pytest
 from service.contract import wire
 from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.consistency import Consistency
-from service.decision.controllers import Heuristic
+from service.decision.controllers import Belief, Heuristic
 from service.decision.evidence import Evidence, Refusal
 from service.decision.seating import Push
 from service.perception.observation import PairObservation
@@ -31,7 +31,9 @@ EVIDENCE = Evidence(tiny_models.CLASSES, SURE, (6.0, 8.0), (1.0, 1.5))
 def decider(**changes: Any) -> Decider:
     card = tiny_models.card("direction", "step")
     models: Any = SimpleNamespace(card=card, steps=[SimpleNamespace(card=card)])
-    return Decider("one", models, Heuristic(LIMITS), Deadlines(), **changes)
+    return Decider(
+        **{"insertion_id": "one", "models": models, "controller": Heuristic(LIMITS)} | changes, deadlines=Deadlines()
+    )
 
 
 def pair_at(captured_ns: int) -> PairObservation:
@@ -135,6 +137,21 @@ def test_a_mirrored_picture_is_noticed_in_the_newest_pair_unless_others_move_the
     assert answer.type == ("no_decision" if followed else "correction")
     if isinstance(answer, wire.NoDecision):
         assert (answer.reason, one.command) == ("contradictory", None)
+
+
+def test_an_attempt_that_contradicts_the_others_moves_no_belief() -> None:
+    """Only its failure counts: what the fingers felt is not believed, and the arm does not move."""
+    one = decider(controller=Belief(LIMITS))
+    attempt = blocked()
+    attempt.ring.extend([pair_at(STOPPED_NS - 40 * MS), mirrored()])
+    answer = one.conclude(attempt, STOPPED_NS + MS)
+    assert isinstance(answer, wire.NoDecision)
+    assert answer.reason == "contradictory"
+    failed = Belief(LIMITS)
+    failed.blocked_without_evidence()
+    assert isinstance(one.controller, Belief)
+    assert one.controller.grid.offset.tolist() == [0.0, 0.0]
+    np.testing.assert_array_equal(one.controller.grid.probability, failed.grid.probability)
 
 
 @pytest.mark.parametrize(

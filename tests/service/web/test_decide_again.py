@@ -1,6 +1,9 @@
 """Deciding a recorded insertion again, from the page or the API: with which networks, and how large a one."""
 
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import httpx
 import pytest
@@ -30,7 +33,7 @@ def test_the_version_that_decided_an_insertion_decides_it_again(tmp_path: Path) 
             assert again["same"] is True, again
 
 
-def test_a_recording_with_too_many_pictures_is_refused(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_that_is_too_large_is_refused(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
     driver = Driver(live, "first")
     driver.until("hello")
     driver.attempt(1)
@@ -42,17 +45,36 @@ def test_a_recording_with_too_many_pictures_is_refused(live: LiveService, monkey
     assert again.insert(1).outcome == "inserted"
     again.close()
     (second,) = live.recordings.glob("*_second/insertion.mcap")
-    files = sum(path.stat().st_size for path in (first, second))
-    pictures = sum(
-        frame.pixels.nbytes
-        for recording in map(Recording, (first, second))
-        for finger in ("left", "right")
-        for frame in recording.frames(finger).values()
-    )
-    assert needed(second).bytes_n == files + pictures, "those of the insertion before are read, too"
-    monkeypatch.setattr("service.web.routes.playback.MOST_AGAIN_BYTES", files + pictures - 1)
+    messages_n = sum(len(entry.data) for path in (first, second) for entry in Recording(path).entries)
+    bytes_n = needed(second).bytes_n
+    assert messages_n < bytes_n < 1.5 * messages_n, "those of the insertion before are read, too"
+    monkeypatch.setattr("service.web.routes.playback.MOST_AGAIN_BYTES", bytes_n - 1)
     refused = decided_again(live, second)
     assert refused.status_code == 422
     assert "on another one" in refused.json()["error"]
     monkeypatch.undo()
     assert decided_again(live, second).json()["same"] is True
+
+
+def test_an_insertion_that_begins_ends_what_is_being_decided_again(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    _, path = insert(live, "earlier")
+    slow = tmp_path / "slow"
+    slow.write_text(f"#!/bin/sh\necho $$ > {tmp_path / 'number'}\nexec sleep 60\n")
+    slow.chmod(0o755)
+    monkeypatch.setattr("service.web.routes.playback.sys", SimpleNamespace(executable=str(slow)))
+    with ThreadPoolExecutor(1) as beside:
+        answer = beside.submit(decided_again, live, path)
+        while not (tmp_path / "number").is_file() or not (number := (tmp_path / "number").read_text().strip()):
+            time.sleep(0.05)
+        driver = Driver(live, "next")
+        driver.until("hello")
+        refused = answer.result(30)
+    driver.send(wire.Abort(insertion_id="next", cause="operator", reason="done"))
+    driver.until("finished")
+    driver.close()
+    assert refused.status_code == 409
+    assert refused.json()["error"] == "busy: an insertion has begun"
+    process = Path(f"/proc/{number}")
+    assert not process.exists() or (process / "cmdline").read_text() == ""

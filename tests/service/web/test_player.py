@@ -46,3 +46,16 @@ def test_an_answer_that_comes_late_is_not_shown_in_the_recording_opened_since(
     assert page.evaluate(PLAYED)
     assert {url.split("/moments/")[0].rpartition("_")[2] for url in moments} == {"prompt"}
     assert page.problems == []
+
+
+def test_what_a_person_ended_is_listed_and_counts_neither_as_tried_nor_in_the_trend(
+    live: LiveService, page: Any
+) -> None:
+    for name in ("ended once", "ended twice"):
+        give_up(insertion(live, name.replace(" ", "-")))
+    page.goto(live.url("/#history"))
+    page.get_by_label("Outcome").select_option("aborted")
+    wait_until(page, "/^[0-9]+ aborted$/.test(document.getElementById('count').textContent)")
+    wait_until(page, "document.getElementById('trend').textContent.includes('needs two insertions')")
+    assert page.locator("#past tr").count() >= 2
+    assert page.problems == []

@@ -3,6 +3,7 @@
 import json
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -53,6 +54,24 @@ def test_a_restart_while_the_object_is_on_its_way_is_told_as_what_it_is(live: Li
     give_up(third, "operator", "done")
     wait_for(restarted, {"level": "good", "words": "Ready for the next object"})
     assert restarted.snapshot()["last"]["attempts"] == 3
+
+
+@pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
+def test_a_clock_that_is_set_neither_hurries_nor_delays_a_regrasp(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch, step_s: float
+) -> None:
+    shown = Status(live.station)
+    put_back(live, f"stepped{step_s:+.0f}".replace("+", "on").replace("-", "back"))
+    wait_for(shown, REGRASPED)
+    stepped = SimpleNamespace(time=lambda: time.time() + step_s, monotonic=time.monotonic)
+    monkeypatch.setattr("service.web.page.status.time", stepped)
+    assert headline(shown) == REGRASPED
+    if step_s < 0.0:
+        restarted = Status(live.station)
+        assert headline(restarted) == REGRASPED
+        monkeypatch.setattr("service.web.page.status.AFRESH_S", 0.0)
+        assert headline(restarted)["level"] == "stop"
+        assert restarted.acknowledge(restarted.snapshot()["alarms"][0]["number"])
 
 
 def test_a_restart_long_after_nothing_went_on_sounds_once(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,8 @@
 """Frames in by WebSocket, out by WebSocket and MJPEG, while the same service decides."""
 
+import collections
+import contextlib
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +18,7 @@ from service.session.station import Station
 from service.settings import Settings
 from tests.service.client import Driver
 from tests.service.conftest import LiveService, bearer, served
+from tests.service.process import service_process
 
 
 @pytest.fixture
@@ -123,6 +127,20 @@ def test_mjpeg_streams_each_finger_and_says_how_many_viewers_it_takes(
     with connect(live.url("/v1/cameras/left/frames", "ws")) as link, pytest.raises(ConnectionClosed) as closed:
         link.recv(20)
     assert closed.value.rcvd.code == 1013
+
+
+def test_a_service_that_stops_waits_for_no_viewer(live: LiveService, tmp_path: Path, models_folder: Path) -> None:
+    left, right = (f"--camera-{finger.finger}={finger.url}" for finger in live.fingers)
+    calibration = f"--calibration={live.recordings.parent / 'calibration.toml'}"
+    with service_process(models_folder, tmp_path / "recordings", left, right, calibration) as stopping:
+        with httpx.stream("GET", stopping.url("/v1/cameras/left/stream.mjpg"), timeout=30) as answer:
+            pieces = answer.iter_bytes()
+            next(pieces)
+            stopping.process.send_signal(signal.SIGTERM)
+            with contextlib.suppress(httpx.HTTPError):
+                collections.deque(pieces, maxlen=0)
+        assert stopping.process.wait(20) == 0
+    assert "Traceback" not in "".join(stopping.log)
 
 
 def test_viewers_come_and_go_while_an_insertion_is_decided(live: LiveService) -> None:

@@ -1,7 +1,10 @@
 """The run's own parts: starts, children, report. The loop itself is in tests/test_run.py."""
 
 import json
+import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -97,6 +100,28 @@ def test_a_child_that_ignores_the_request_is_killed(script):
         child.end(patience_s=0.3)
     assert child.code == -signal.SIGKILL
     assert time.monotonic() - begin < 5.0
+
+
+def test_a_child_ends_with_a_run_that_is_killed(tmp_path):
+    (tmp_path / "childscript.py").write_text("import time; print('ready'); time.sleep(60)")
+    run = f"""if True:
+        from pathlib import Path
+        from simulation.cell.children import Child
+        child = Child("the child", "childscript", [], Path({str(tmp_path / "child.log")!r}))
+        child.until("ready", 20.0)
+        print(child.process.pid, flush=True)
+        child.process.wait()
+    """
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    env = os.environ | {"PYTHONPATH": path}
+    with subprocess.Popen([sys.executable, "-c", run], stdout=subprocess.PIPE, text=True, env=env) as killed:
+        child = Path(f"/proc/{int(killed.stdout.readline())}/stat")
+        assert child.exists()
+        killed.kill()
+    deadline_s = time.monotonic() + 10.0
+    while child.exists() and child.read_text().split()[2] != "Z":
+        assert time.monotonic() < deadline_s, "it runs on"
+        time.sleep(0.05)
 
 
 def test_lines_of_a_child_come_as_they_are_written(script):

@@ -1,6 +1,7 @@
 """A cell's wiring is checked before it learns, and a row has the same fields for every cell."""
 
 import json
+import tomllib
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -158,6 +159,15 @@ def test_presses_around_a_cell_are_kept_for_their_number_and_objects_only(tmp_pa
     assert [read_manifest(folder).trials for folder in (one, two, other)] == [1, 2, 1]
     assert list(read_manifest(other).scenes) == ["rectangle"]
     assert commissioning._pressed_around(cell, plan) == (one, took_s)
+
+
+def test_of_grips_and_heights_only_what_all_objects_share_is_taken_as_known_of_a_cell(tmp_path):
+    objects = load_objects(["circle", "rectangle"])
+    low = objects["circle"].model_copy(update={"grasp": objects["circle"].grasp.model_copy(update={"height_mm": 40.0})})
+    cell = Cell(World("cell"), objects | {"circle": low}, tmp_path / "cell", 3)
+    folder, _ = commissioning._pressed_around(cell, Plan(tmp_path, tmp_path, 0, 1, workers=1, around=2))
+    known = tomllib.loads(folder.with_suffix(".toml").read_text())
+    assert known["grasp"] == {"force_n": objects["rectangle"].grasp.force_n}
 
 
 def test_a_cell_with_an_object_that_cannot_be_pressed_learns_from_no_presses_and_goes_on(tmp_path, capsys):

@@ -252,6 +252,15 @@ def test_too_few_probes_leave_the_release_and_none_are_an_error(release, tmp_pat
         adapt(recorded(tmp_path / "none", 0), release, tmp_path / "out")
 
 
+def test_a_checkpoint_of_an_earlier_run_does_not_pass_for_one_that_was_not_accepted(release, tmp_path):
+    earlier, probes = tmp_path / "checkpoint.pt", recorded(tmp_path / "few", 7)
+    earlier.write_bytes(release.read_bytes())
+    assert not adapt(probes, earlier, tmp_path).accepted
+    assert earlier.is_file(), "the release itself stays where it is"
+    assert not adapt(probes, release, tmp_path).accepted
+    assert sorted(path.name for path in tmp_path.glob("*.pt")) == ["earlier.pt"]
+
+
 def test_a_network_that_does_not_say_what_it_was_adapted_to_is_refused(release, tmp_path):
     start = Checkpoint.load(release)
     replace(start, run={**start.run, "adapted": {"stage": "all"}}).save(tmp_path / "early.pt")

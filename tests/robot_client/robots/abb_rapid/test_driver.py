@@ -207,3 +207,17 @@ def test_an_insertion_runs_over_the_sockets_from_program_start_to_program_stop()
             assert cell.report.rows[0].overtravel_mm < 10.0 * (REACTION_S + 0.06)
 
     undisturbed(story)
+
+
+def test_an_emergency_stop_which_only_closes_the_sockets_is_named_by_the_controller():
+    async def story():
+        async with bench(device="abb_rapid") as cell:
+            stopping = asyncio.get_running_loop().call_later(
+                1.5, cell.board.update, {"robot": {"emergency_stop": True}}
+            )
+            state = await cell.insert()
+            stopping.cancel()
+            assert state.reason.startswith("arm: link"), state.reason
+            assert cell.runner.farewell == "controller confirms: program stopped, controller emergencystop"
+
+    undisturbed(story)

@@ -1,0 +1,62 @@
+"""The page in a real Chromium where the service does not let it in, or does not answer: it says why, and what to do."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import SecretStr
+
+from tests.service.conftest import LiveService, live_service
+from tests.service.web import test_dashboard
+from tests.service.web.test_dashboard import give_up, insertion, says, wait_until
+
+browser, page, pytestmark = test_dashboard.browser, test_dashboard.page, test_dashboard.pytestmark
+TOKEN = "sixteen-or-more-characters"
+
+
+def test_an_address_without_the_token_or_with_a_wrong_one_is_named(
+    browser: Any, tmp_path: Path, models_folder: Path
+) -> None:
+    with live_service(tmp_path, models_folder, token_watch=SecretStr(TOKEN)) as live:
+        page = browser.new_page()
+        for address in ("/", "/?token=another-one-of-them"):
+            page.goto(live.url(address))
+            says(page, "lacks the token, or has a wrong one")
+            assert "?token=" in page.locator("#detail").text_content()
+        page.goto(live.url(f"/?token={TOKEN}"))
+        wait_until(page, "document.getElementById('headline').className === 'good'")
+        page.close()
+
+
+def test_a_page_too_many_says_so_and_connects_by_itself(
+    browser: Any, tmp_path: Path, models_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.web.routes.live.MAX_PAGES", 1)
+    with live_service(tmp_path, models_folder) as live:
+        first, second = browser.new_page(), browser.new_page()
+        first.goto(live.url("/"))
+        wait_until(first, "document.getElementById('headline').className === 'good'")
+        second.goto(live.url("/"))
+        says(second, "Too many pages are open")
+        first.close()
+        wait_until(second, "document.getElementById('headline').className === 'good'")
+        second.close()
+
+
+def test_a_playback_says_when_the_service_does_not_answer(live: LiveService, page: Any) -> None:
+    for name in ("open", "later"):
+        driver = insertion(live, name)
+        driver.attempt(1)
+        give_up(driver)
+    page.goto(live.url("/#history"))
+    page.get_by_label("play back open", exact=True).click()
+    wait_until(page, "document.getElementById('then').textContent.includes(' s ')")
+    page.route("**/v1/recordings/**", lambda route: route.abort())
+    page.locator("#again").click()
+    wait_until(page, "document.getElementById('answer').textContent.includes('does not answer')")
+    page.locator("#play").click()
+    wait_until(page, "document.getElementById('then').textContent.includes('does not answer')")
+    wait_until(page, "document.getElementById('play').textContent === 'Play'")
+    page.locator("#close").click()
+    page.get_by_label("play back later", exact=True).click()
+    wait_until(page, "document.getElementById('then').textContent.includes('does not answer')")
