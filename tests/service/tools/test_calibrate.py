@@ -105,6 +105,20 @@ def test_a_picture_without_markers_is_named_as_such(tmp_path, capsys):
     assert json.loads(row.read_text())["found_share"] == 0
 
 
+def test_a_picture_that_cannot_be_read_leaves_no_row_of_an_earlier_one(tmp_path, capsys):
+    picture, row = tmp_path / "a.png", tmp_path / "a.json"
+    cv2.imwrite(str(picture), still(renderer("left", 1)))
+    assert main(["calibrate", "--picture", str(picture), "--json", str(row)]) == 0
+    picture.write_bytes(picture.read_bytes()[:20_000])
+    odd = {picture: "a damaged one", tmp_path / "b.png": "No such file", tmp_path: "s a directory"}
+    for unreadable, why in odd.items():
+        assert main(["calibrate", "--picture", str(unreadable), "--json", str(row)]) == 2
+        assert why in capsys.readouterr().err
+        figures = json.loads(row.read_text())
+        assert (figures["picture"], figures["residual_px"]) == (unreadable.name, None)
+        assert why in figures["refused"]
+
+
 def test_markers_at_another_distance_are_another_gel(tmp_path):
     """As many markers as the profile allows, but further apart: its millimetres would be wrong."""
     picture, row = tmp_path / "a.png", tmp_path / "a.json"
