@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from service.cameras.recorded import picture_in
 from service.contract import FINGERS, ContractError, Finger, Sensor
@@ -52,13 +53,11 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _measure(options: argparse.Namespace) -> int:
-    """Measure how well the markers of one picture fit the model; the row is written even if the profile refuses it."""
+    """Measure how well the markers of one picture fit the model; the row is written even if it is refused."""
     path: Path = options.picture
-    picture = picture_in(path) if path.is_file() else None
-    if picture is None:
-        raise CalibrationError(f"--picture {path}: expected a picture file")
     name = options.sensor if options.new_profile is None else options.new_profile.stem
     try:
+        picture = _picture(path)
         sensor = _new_profile(options, picture, path.name) if options.new_profile else _sensor(options.sensor)
         grid = find_grid(picture, path.name, sensor)
         # a grid of another sensor is measured in the picture's own pixels
@@ -73,6 +72,17 @@ def _measure(options: argparse.Namespace) -> int:
     print(_line(path.name, fit) + ("" if refused is None else f"\nno calibration of {sensor.name}: {refused}"))
     _draw(options.pictures, path.stem, picture, fit)
     return 0
+
+
+def _picture(path: Path) -> NDArray[np.uint8]:
+    """The picture in a file; CalibrationError if it holds none."""
+    try:
+        picture = picture_in(path)
+    except OSError as error:
+        raise CalibrationError(f"--picture {path}: {error.strerror or error}") from error
+    if picture is None:
+        raise CalibrationError(f"--picture {path}: no picture, a damaged one, or of an unknown format")
+    return picture
 
 
 def _sensor(name: str) -> Sensor:

@@ -24,6 +24,7 @@ _PRESSED = 2.0  # times the bulge limit of an untouched gel; beyond it an object
 class TactileFinger:
     """One finger's perception chain; accepts rectified frames and, with a calibration, raw ones.
 
+    Where both have one size, as of the GelSight Mini, a frame is raw if there is a calibration.
     ``spec`` is the rectified frame that the networks expect; ``imprint``: also follow the imprint.
     """
 
@@ -125,7 +126,8 @@ class TactileFinger:
     def _rectified(self, frame: TactileFrame) -> tuple[NDArray[np.uint8], float]:
         """The rectified image, and the milliseconds it took."""
         pixels, started = frame.pixels, time.perf_counter()
-        if pixels.shape == self._spec.shape:
+        is_raw = self._rectifier is not None and pixels.shape == self._rectifier.camera.raw.shape
+        if pixels.shape == self._spec.shape and not is_raw:
             return pixels, 0.0
         if self._rectifier is None:
             height, width = pixels.shape[:2]

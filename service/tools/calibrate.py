@@ -21,7 +21,7 @@ from service.cameras.capture import CameraError
 from service.cameras.sources import open_source
 from service.contract import Finger, FrameSpec, Sensor
 from service.perception.lens import transformed
-from service.perception.markers.fingerprint import SAME_GEL, fingerprint_of, likeness
+from service.perception.markers.fingerprint import fingerprint_of
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.rectification import CalibrationError, CameraCalibration, Measured, Rectifier
 from service.tools.grid_fit import GridFit, fit_grid
@@ -31,6 +31,7 @@ MIN_PRESENT = 0.7
 MAX_DISPLACED = 0.1  # share of the grid's markers: visible, but not at a resting gel's positions
 MAX_OFF = 0.03  # pitches, RMS; resting gels of three real sensors are below 0.02
 _OTHER_PITCH = 0.15  # markers this much closer or further apart than the profile says are another gel's
+_ONE_PLACE = 0.01  # pitches; markers of two real fingers lie 0.13 or more apart in their pictures, of one 0.002
 _BENT = 0.1  # pitches, by which rows may be bent beyond the lens without a remark
 WAIT_S = 10.0
 _DARK, _GLARE = 12, 243  # mean grey levels of a frame without light, and of one with too much
@@ -181,20 +182,27 @@ def fit_camera(image: NDArray[np.uint8], finger: Finger, sensor: Sensor, serial:
 
 
 def check_two_cameras(left: tuple[str, Fit], right: tuple[str, Fit]) -> None:
-    """Raise CalibrationError if both fingers, (URL, fit) each, were calibrated with one camera or one gel."""
+    """Raise CalibrationError if both fingers, (URL, fit) each, were calibrated with one camera.
+
+    Fingerprints do not decide: of two small gels they may be alike, by the bend of their lenses.
+    """
     (left_url, left_fit), (right_url, right_fit) = left, right
-    measured = left_fit.camera.measured, right_fit.camera.measured
     if left_url == right_url:
         raise CalibrationError(f"left and right are the same camera, {left_url}; expected one for each finger")
-    if measured[0] is None or measured[1] is None:
-        return
-    if measured[0].serial and measured[0].serial == measured[1].serial:
-        raise CalibrationError(f"left and right are the same camera, serial {measured[0].serial}")
-    alike = likeness(measured[0].fingerprint, measured[1].fingerprint)
-    if alike is not None and alike > SAME_GEL:
-        raise CalibrationError(
-            f"left and right show the same gel (fingerprints {alike:.2f} alike): two URLs of one camera?"
-        )
+    one, other = left_fit.camera.measured, right_fit.camera.measured
+    if one is not None and other is not None and one.serial and one.serial == other.serial:
+        raise CalibrationError(f"left and right are the same camera, serial {one.serial}")
+    if _apart(left_fit, right_fit) < _ONE_PLACE:
+        raise CalibrationError("left and right show the same gel, each marker in one place: two URLs of one camera?")
+
+
+def _apart(one: Fit, other: Fit) -> float:
+    """Median distance in pitches of one picture's markers from the nearest of another, both at one size."""
+    size = np.array([one.camera.raw.width_px, one.camera.raw.height_px], np.float64)
+    other_size = [other.camera.raw.width_px, other.camera.raw.height_px]
+    there_px = (other.grid.raw_px + 0.5) * (size / other_size) - 0.5
+    away_px = np.linalg.norm(one.grid.raw_px[:, None] - there_px, axis=-1).min(1)
+    return float(np.median(away_px)) / one.grid.pitch_px
 
 
 def serial_of(url: str) -> str:

@@ -158,6 +158,8 @@ def report_of(folder: Path, step: int = 1) -> RunReport:
         remarks.append("one finger's video alone: whether the object slides is not known")
     frames_n = min(len(finger.fields) for finger in fingers)
     still = rest([finger.pictures for finger in fingers], [finger.fields for finger in fingers])
+    if still is None or not still.is_open:
+        remarks.append("no frame shows open gels: they count as touched throughout, and an end cannot be shown")
     evidence = _evidence(fingers, frames_n)
     slides = [terms is not None and bool(slide_score(terms) >= 0) for terms in evidence]
     statuses = [markers.status for finger in fingers for markers in finger.fields]

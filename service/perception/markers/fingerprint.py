@@ -16,8 +16,7 @@ from service.perception.markers.field import MarkerField
 _UNIT = 0.005  # pitch
 _ABSENT = -128
 _LEAST_N = 24
-SAME_GEL, OTHER_GEL = 0.75, 0.5
-"""Likeness above which two fingerprints certainly belong to one gel, and below which to two of a kind."""
+OTHER_GEL = 0.5  # likeness below which two fingerprints certainly belong to two gels of a kind
 TELLING_N = 150  # markers; with fewer, too much depends on which are found for a gel to be refused
 
 

@@ -20,6 +20,7 @@ _DOUBTFUL = 5.0  # misfit per node above the running level
 _SAME_GREY = (
     0.005  # mean distance below which a frame repeats the one before; of still real gels few come nearer than 0.02
 )
+_EVENER = 0.5  # of another placement's unevenness: that of the print as it was, not of one whole steps off
 _CALM = 1.2  # misfit per node above the running level at which the grid is matched again by topology
 _WHOLE = 0.8  # diameter; a marker nearer to the image's border than this is cut
 _NEARER = 0.1  # diameter; and was carried there if its rest place is further inside by more than this
@@ -117,7 +118,7 @@ class MarkerTracker:
         if share < self.settings.lost_share or not visible.any():
             return self._lost(captured_ns, f"{best.valid.sum()} of {best.valid.size} markers matched")
         jump_px = _typical(best.xy_px - self._xy, best.valid)
-        rival = self._rival(best, jump_px, spots.xy_px, view)
+        rival = self._at_rest(best, spots.xy_px, view) or self._rival(best, jump_px, spots.xy_px, view)
         if rival is not None or self._leaps(best, jump_px):
             self._xy = best.xy_px if rival is None else rival.xy_px
             self._last_ns = captured_ns
@@ -145,6 +146,21 @@ class MarkerTracker:
             if nearer and place.misfit < best.misfit + _AS_WELL / max(rest.shape[:2]):
                 rivals.append(place)
         return min(rivals, key=lambda place: place.misfit, default=None)
+
+    def _at_rest(self, best: Match, points: FloatArray, view: View) -> Match | None:
+        """The grid at rest, where that explains the whole frame and the placement that was followed does not.
+
+        After a jump a grid may be followed a pitch off, so torn that each next frame confirms it.
+        """
+        assert self._lattice is not None
+        rest, pitch = self._lattice.xy_px, self._lattice.pitch_px
+        if _whole(best, len(points)):
+            return None
+        home = match(rest, rest, points, pitch, view, rest)
+        if not _whole(home, len(points)) or home.misfit > self._level + _CALM:
+            return None
+        still = _typical(home.xy_px - rest, home.valid) < _STILL * pitch
+        return home if still and _uneven(home, rest) < _EVENER * _uneven(best, rest) else None
 
     def _leaps(self, best: Match, jump_px: float) -> bool:
         """Whether an uncertain match carried the whole grid far."""
@@ -246,6 +262,11 @@ def _whole(match: Match, spots_n: int) -> bool:
 def _step(steps: FloatArray, valid: BoolArray) -> FloatArray:
     """The median step [2] in px of the valid nodes; 0 without any."""
     return median(steps[valid]) if valid.any() else np.zeros(2, np.float32)
+
+
+def _uneven(match: Match, rest: FloatArray) -> float:
+    """Scatter in px of the valid nodes' motions from rest."""
+    return float(np.linalg.norm((match.xy_px - rest)[match.valid].std(0)))
 
 
 def _typical(step: FloatArray, valid: BoolArray) -> float:

@@ -28,6 +28,7 @@ _LEAST = 1.0  # power of an imprint, (percent of the light)^2; smaller ones carr
 _WHERE = 0.05  # share of the gel, which a sliding rim or pen changes
 _STRONG = 0.1  # share of the gel from which the grip's strength is estimated
 _LITTLE = 0.15  # percent; smaller changes of relief are ignored
+_AROUND_EDGE = np.ones((3, 3), np.uint8)
 _RIDGE = np.diag([0.05, 0.05, 0.05, 5.0])  # (percent of the light)^2; a fainter imprint does not move
 
 
@@ -150,13 +151,31 @@ class _Grid:
         picture = cv2.remap(
             small, where[..., 0], where[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         ).astype(np.float32)
-        lit = picture.reshape(self._unmarked.shape) * self._unmarked
+        picture = picture.reshape(self._unmarked.shape)
+        shown, fine_weight, slow_weight = self._weights(picture)
+        lit = picture * shown
         fine, slow = (
             cv2.GaussianBlur(lit, (0, 0), share * self._samples).reshape(lit.shape) / weight
-            for share, weight in ((_FINE, self._fine), (_SLOW, self._slow))
+            for share, weight in ((_FINE, fine_weight), (_SLOW, slow_weight))
         )
-        imprint = np.asarray(100 * (fine / np.maximum(slow, _DARK) - 1) * self._unmarked, np.float32)
+        imprint = np.asarray(100 * (fine / np.maximum(slow, _DARK) - 1) * shown, np.float32)
         return _Look(imprint, np.sqrt(self.power(imprint)))
+
+    def _weights(self, picture: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Places that count [h, w, channels], and the weights of both blurs; what is black lies beyond the raw frame.
+
+        Its edge would pass for a deep imprint, and so for a strong grip.
+        """
+        lit: NDArray[np.bool_] | None = None if picture.min() > 0 else np.asarray(picture.any(-1))
+        if lit is None or lit.all():
+            return self._unmarked, self._fine, self._slow
+        inner = cv2.erode(lit.astype(np.float32), _AROUND_EDGE)  # at the edge a sample is half black
+        shown = np.asarray(self._unmarked * inner[..., None], np.float32)
+        fine, slow = (
+            np.asarray(cv2.GaussianBlur(shown, (0, 0), share * self._samples).reshape(shown.shape) + 1e-3, np.float32)
+            for share in (_FINE, _SLOW)
+        )
+        return shown, fine, slow
 
     def walk(self, before: FloatArray, now: FloatArray) -> tuple[float, float]:
         """Motion of the imprint [h, w, channels] to the right and down, in pitches, in the middle of the visible part.

@@ -7,7 +7,7 @@ from service.contract import FrameSpec, Sensor, TactileFrame, wire
 from service.decision.models import load_models
 from service.perception.finger import TactileFinger
 from service.perception.observation import Observation
-from service.perception.rectification import Calibration
+from service.perception.rectification import Calibration, Rectifier
 from service.session.factory import make_session
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
@@ -38,6 +38,21 @@ def test_the_live_state_says_no_contact_while_the_gel_is_untouched_and_hold_whil
     assert set(states[8:12]) == {"hold"}
     assert observations[12].slip.stop, "an object that is gone stops the arm, whatever it is called"
     assert set(states[13:]) == {"no_contact"}
+
+
+def test_a_raw_frame_of_the_rectified_size_is_rectified() -> None:
+    """Both have one size on the GelSight Mini. Unrectified, two real fingers of one gel show different grids."""
+    scene = load_scene("circle", camera__sensor="gelsight_mini")
+    renderer = Renderer(Appearance.draw(scene, "left", 4))
+    sensor, raw = scene.sensor, renderer.raw(np.zeros((7, 9, 3), np.float32), 0)
+    assert raw.shape == sensor.rectified.shape
+    finger = TactileFinger("left", sensor.rectified, renderer.calibration)
+    observation = finger.observe(TactileFrame("left", 0, 0, raw))
+    assert np.array_equal(observation.image, Rectifier(renderer.calibration).apply(raw))
+    off_px = np.linalg.norm(observation.field.rest_px - sensor.marker_rest_px(), axis=-1)
+    assert np.median(off_px) < 0.3
+    plain = TactileFinger("left", sensor.rectified).observe(TactileFrame("left", 0, 0, raw))
+    assert plain.image is raw, "without a calibration the camera delivers rectified frames"
 
 
 def test_a_push_that_brings_home_markers_which_a_weight_had_moved_is_no_release() -> None:

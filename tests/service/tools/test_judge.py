@@ -124,6 +124,13 @@ def test_a_video_without_a_gel_hides_no_loss(tmp_path, capsys):
     ]
 
 
+def test_a_run_without_an_open_gel_is_said_to_show_no_end(tmp_path, capsys):
+    record(tmp_path / "held", (0, 24), frames=24)
+    rows, returned = rows_of(tmp_path, tmp_path / "rows.json")
+    assert (returned, rows["held"]["open_frame"], rows["held"]["lost_frame"]) == (0, None, None)
+    assert "held: no frame shows open gels" in capsys.readouterr().err
+
+
 def test_a_finger_that_goes_blind_in_a_run_hides_no_loss(tmp_path):
     record(tmp_path / "box", (18, 44), frames=56)
     clip = tmp_path / "box" / "camera_2.avi"

@@ -268,3 +268,23 @@ def test_a_jump_that_may_be_a_whole_pitch_is_said_to_be_ambiguous_and_forgotten(
         assert field.usable
         moved = np.median(field.displacement_px[field.valid], 0) / 15
         assert abs(moved - [shift, 0]).max() < 0.1, "the grid has not slid by a step"
+
+
+@pytest.mark.parametrize("up_px", [1.0, 3.0])
+def test_a_grid_followed_a_step_off_after_a_jump_is_found_again_at_rest(up_px):
+    """One picture of another grasp tears the grid, whose upper row the picture's border cuts."""
+    rng = np.random.default_rng(0)
+    rest = grid(6, 7, pitch=22.0, width=160, height=120, jitter=0.2, seed=1) - [0, up_px]
+    pressed = rest.copy()
+    for marker, carried, wide in (((2, 3), (-10.0, 15.0), 40.0), ((5, 5), (-12.0, -17.0), 29.0)):
+        near = np.exp(-np.square(rest - rest[marker]).sum(-1) / 2 / wide**2)
+        pressed += np.array(carried) * near[..., None]
+    hidden = np.zeros(rest.shape[:2], bool)
+    hidden[[0, 0, 1, 2, 2, 2, 3, 4, 4, 4, 5], [3, 6, 0, 1, 3, 4, 5, 0, 1, 2, 1]] = True
+    tracker = MarkerTracker()
+    way = [rest, rest, rest, pressed[~hidden], (rest + pressed) / 2, rest, rest, rest]
+    fields = [tracker.update(draw(points, rng, 160, 120, 10.0), 4 * k * FRAME_NS) for k, points in enumerate(way)]
+    assert fields[3].status == "ambiguous", "otherwise this tests nothing"
+    assert fields[5].status == "ambiguous"
+    assert all(field.status == "tracking" for field in fields[6:])
+    assert np.abs(fields[-1].displacement_px[fields[-1].valid]).max() < 0.1 * 22

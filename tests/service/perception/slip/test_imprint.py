@@ -88,6 +88,21 @@ def test_the_same_slide_in_a_strong_grip_is_less_sure_to_end_in_a_loss():
     assert faint - light < 0.5  # no sensor showed an imprint as faint; that it is hardly held is not known
 
 
+def test_black_beyond_the_raw_frame_is_no_relief():
+    """Where a rectified frame reaches beyond the raw one, its edge is no imprint of a strong grip."""
+    rng, reliefs = np.random.default_rng(3), []
+    images = [picture(rng, 0.0, 0.0) for _ in range(2)]
+    for columns in (0, 45):
+        tracker, watch = MarkerTracker(), ImprintWatch()
+        for k, image in enumerate(images):
+            field, cut = tracker.update(image, k * PERIOD_NS), image.copy()
+            cut[:, :columns] = 0
+            change = watch.update(cut, field)
+        assert change is not None
+        reliefs.append(change.relief)
+    assert reliefs[1] == pytest.approx(reliefs[0], rel=0.15)
+
+
 def test_a_rim_that_slides_is_seen_beside_an_imprint_that_stays():
     rng, tracker, watch = np.random.default_rng(3), MarkerTracker(), ImprintWatch()
     for k, way in enumerate([0.0, 0.0, 6.0]):
