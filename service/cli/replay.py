@@ -16,7 +16,9 @@ def main(arguments: Sequence[str]) -> int:
         description="Decide a recorded insertion again and compare every message bit for bit.",
     )
     parser.add_argument("path", type=Path, help="insertion.mcap of a recording")
-    parser.add_argument("--models", type=Path, metavar="DIR", help="folder of the models, if they have moved")
+    parser.add_argument(
+        "--models", type=Path, metavar="DIR", help="folder of the networks that decided it; default the released"
+    )
     parser.add_argument("--json", action="store_true", help="print the number of messages and the differing ones")
     options = parser.parse_args(arguments)
     messages_n, differing = redecide(options.path, options.models)

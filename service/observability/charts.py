@@ -1,7 +1,7 @@
 """Control charts for drift in a cell: one CUSUM per chart, on a value's rank among the first ones of its object.
 
-Ranks have the same distribution whatever the value, so one limit serves all (Page 1954; normal scores). In control, one
-chart of twenty alarms within 1,000 insertions; a shift by one standard deviation is detected after about 25.
+Ranks have the same distribution whatever the value, so one limit serves all (Page 1954; normal scores). In control,
+three charts of a hundred alarm within 1,000 insertions; a shift by one standard deviation is detected after about 24.
 """
 
 import bisect

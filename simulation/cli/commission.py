@@ -71,7 +71,7 @@ class Options:
 
 def main(arguments: list[str]) -> int:
     """Play all worlds and write the rows as they come."""
-    options = tyro.cli(Options, args=arguments, prog="tactile-insertion commission")
+    options = tyro.cli(Options, args=arguments, prog="tactile-insertion learn-worlds")
     if min(options.probes, options.around, options.work) < 0 or options.insertions < 1:
         given = f"--probes {options.probes} --around {options.around} --work {options.work}"
         raise ValueError(f"{given} --insertions {options.insertions}: expected at least 0, 0, 0 and 1")

@@ -76,7 +76,7 @@ class Options(Played):
     """
 
     worlds: tuple[str, ...] = ()
-    """TOML files of worlds, or folders of them; default: the training world"""
+    """TOML files of worlds, or folders of them; default: the project's own cell"""
     cell: Literal["own", "foreign"] = "own"
     """mechanics: the project's own, or finite elements that it was not built on"""
     controller: Who = "belief"

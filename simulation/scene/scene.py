@@ -30,7 +30,7 @@ class SceneError(ValueError):
 class Scene(Part):
     """One simulated cell. Frozen; make variants with `varied` or `randomisation.randomised`.
 
-    ``training``: the released networks were trained on this object. ``order``: its place in tables, which seeds follow.
+    ``training``: `collect` presses this object by default. ``order``: its place in tables, which seeds follow.
     ``paper``: what the paper measured on the real robot.
     """
 

@@ -180,7 +180,7 @@ def object_names() -> tuple[str, ...]:
 
 @cache
 def training_objects() -> tuple[str, ...]:
-    """The registry's objects that the released networks were trained on, in their order."""
+    """The registry's objects that `collect` presses by default, in their order."""
     return tuple(name for name in object_names() if load_scene(name).training)
 
 

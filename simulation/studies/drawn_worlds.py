@@ -178,5 +178,5 @@ def drawn_worlds_page(data: Row) -> str:
             *COLUMNS,
         ),
         data.get("note", ""),
-        "`make drawn-worlds` repeats the test and writes this page.",
+        "`make drawn-worlds` plays 300 other worlds and writes this page.",
     )

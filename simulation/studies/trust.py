@@ -196,7 +196,7 @@ def trust_page(data: Row) -> str:
         "## Why insertions were not claimed",
         table(data["reasons"], ("reason", "reason"), ("insertions", "insertions", "d")),
         data.get("note", ""),
-        "`make trust` repeats the test and writes this page.",
+        "`make trust` plays the test with another seed and writes this page.",
     )
 
 

@@ -53,7 +53,7 @@ def check_module(words: list[str]) -> None:
     for word in rest:
         option = word.split("=")[0]
         if option.startswith("--"):
-            assert re.search(rf"{re.escape(option)}\b", text), f"{' '.join(command)} has no option {option}"
+            assert re.search(rf"{re.escape(option)}(?![\w-])", text), f"{' '.join(command)} has no option {option}"
 
 
 def inner_commands(text: str) -> list[str]:

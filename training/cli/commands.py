@@ -182,13 +182,15 @@ COMMANDS: dict[str, Callable[..., Any]] = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; invalid input gives one line on standard error and exit code 2."""
-    return run_one_of(COMMANDS, arguments, "interrupted; the same command goes on")
+    return run_one_of(COMMANDS, arguments, "training", "interrupted; the same command goes on")
 
 
-def run_one_of(commands: dict[str, Callable[..., Any]], arguments: Sequence[str] | None, interrupted: str) -> int:
+def run_one_of(
+    commands: dict[str, Callable[..., Any]], arguments: Sequence[str] | None, package: str, interrupted: str
+) -> int:
     """Run the command that the arguments name; its exit status."""
     try:
-        parse = partial(tyro.extras.subcommand_cli_from_dict, commands, args=arguments, prog="tactile-insertion")
+        parse = partial(tyro.extras.subcommand_cli_from_dict, commands, args=arguments, prog=f"python -m {package}")
         return read_by_somebody(lambda: int(parse() or 0))
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
         print(f"error: {error}", file=sys.stderr)

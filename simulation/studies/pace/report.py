@@ -115,10 +115,11 @@ def pace_page(data: Row) -> str:
         ## The choices
 
         {data["insertions"]} insertions a choice, in drawn worlds with drawn objects (seed {data["seed"]}, bristle
-        tier), in lock step through the service's session and the client's state machine, ramps and leases. The choices
-        were fixed before, and all begin from the same starts. A box begins 30 mm above the approach and ends when the
-        insertion is confirmed or given up. *Seconds a box* are all seconds over all boxes inserted, so a failure costs
-        the time that it took. Intervals are of 95 % (bootstrap over starts; Wilson for shares).
+        tier), in lock step through the service's session and the client's state machine, ramps and leases. The shear
+        reach was given. The choices were fixed before, and all begin from the same starts. A box begins 30 mm above the
+        approach and ends when the insertion is confirmed or given up. *Seconds a box* are all seconds over all boxes
+        inserted, so a failure costs the time that it took. Intervals are of 95 % (bootstrap over starts; Wilson for
+        shares).
 
         **Bold**: on the front. No choice that any cell can run beats it: none is better by more than chance in seconds,
         force, boxes or false claims without being worse in another.
