@@ -90,7 +90,7 @@ def _parser() -> argparse.ArgumentParser:
     homing.add_argument(
         "--acknowledge", action="store_true", help="first clear a latched fault, whose cause must be removed"
     )
-    homing.add_argument("--direction", choices=get_args(HomingDirection), default="default", help="end stop")
+    homing.add_argument("--direction", choices=get_args(HomingDirection), default="default", help="where it homes")
     jogging = add("jog", "take the TCP to a pose of the work object: up, over, down", _connection, _mode)
     for name, unit in (("x", "mm"), ("y", "mm"), ("z", "mm"), ("theta", "deg")):
         text = "required" if name == "z" else "default 0"

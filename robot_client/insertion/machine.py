@@ -1,8 +1,8 @@
 """The insertion as a pure state machine: ``step(state, event) -> (state, commands)``. It owns no clock and no socket.
 
 greeting -> learning -> grasping -> approaching -> arming -> descending -> stopping -> closing -> inserted
-                                          ^                        |
-                                      correcting <- retracting <- deciding        any phase -> failed
+                                                    ^                        |
+                                               correcting <- retracting <- deciding        any phase -> failed
 
 Arming leads to correcting, and back, where the tool is tilted to straighten the object.
 

@@ -103,7 +103,8 @@ def pace_page(data: Row) -> str:
         f"""
         # What accuracy costs, in seconds a box
 
-        Written by `make pace`, played at commit `{data["commit"][:12]}`. Everything is simulated.
+        Written by `python -m simulation pace --seed {data["seed"]}`, played at commit `{data["commit"][:12]}`.
+        Everything is simulated.
 
         **Result.** {_result(data, of)}
         """,
