@@ -5,10 +5,10 @@ import torch
 
 from service.contract import ContractError
 from tests.training.data.test_pressed import down
+from tests.training.networks.test_alexnet import tiny_recipe
 from tests.training.synthetic import SyntheticSource
-from training.config import RecipeConfig, StageConfig
 from training.fit.recipe import train_recipe
-from training.fit.train import train
+from training.fit.train import Trainer, train
 from training.networks.settings import NetworkConfig
 
 PRESSING = NetworkConfig(kind="pressing", trunk_width=8, feature_size=16, state_size=16, affine_fit=True)
@@ -20,6 +20,28 @@ def test_a_run_for_a_gpu_that_is_not_there_is_refused_and_leaves_no_folder(confi
     with pytest.raises(ContractError, match=r"device is cuda, but .* expected cpu"):
         train(config.model_copy(update={"device": "cuda"}), source)
     assert not config.folder.exists()
+
+
+@pytest.fixture
+def used(monkeypatch):
+    """Kinds of the devices on which losses were computed."""
+    kinds, loss = set(), Trainer.decision_loss
+
+    def watched(trainer, fields, batch):
+        kinds.add(fields.device.type)
+        return loss(trainer, fields, batch)
+
+    monkeypatch.setattr(Trainer, "decision_loss", watched)
+    return kinds
+
+
+def test_steps_are_computed_on_the_device_that_the_run_names(config, used):
+    train(config.model_copy(update={"network": PRESSING}), down(20))
+    assert used == {"cpu"}
+    if torch.cuda.is_available():
+        used.clear()
+        train(config.model_copy(update={"network": PRESSING, "name": "there", "device": "cuda"}), down(20))
+        assert used == {"cuda"}
 
 
 @GPU
@@ -36,25 +58,15 @@ def test_a_network_that_reads_depth_learns_on_a_gpu_what_it_learns_on_the_cpu(co
 
 @GPU
 @pytest.mark.parametrize("kind", ["compact", "markers"])
-def test_a_network_that_reads_frames_learns_on_a_gpu(config, source, kind):
+def test_a_network_that_reads_frames_learns_on_a_gpu(config, source, kind, used):
     network = config.network.model_copy(update={"kind": kind})
     checkpoint = train(config.model_copy(update={"network": network, "device": "cuda"}), source)
+    assert used == {"cuda"}
     assert all(torch.isfinite(weight).all() and weight.device.type == "cpu" for weight in checkpoint.weights.values())
 
 
 @GPU
 def test_the_recipe_trains_on_a_gpu(tmp_path):
-    stage = StageConfig(epochs=1, batch=8, learning_rate=1e-4)
-    config = RecipeConfig(
-        name="tiny",
-        runs=str(tmp_path / "runs"),
-        data="unused",
-        device="cuda",
-        cache=str(tmp_path / "cache"),
-        pretraining_trials=4,
-        convolutions=stage,
-        direction=stage,
-        magnitude=stage,
-    )
+    config = tiny_recipe(tmp_path).model_copy(update={"device": "cuda"})
     checkpoint = train_recipe(config, SyntheticSource(30))
     assert all(weight.device.type == "cpu" for weight in checkpoint.weights.values())

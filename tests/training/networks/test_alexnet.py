@@ -103,20 +103,24 @@ def test_features_that_are_not_there_are_computed_and_not_taken_for_zeros(tmp_pa
     assert _convolved(config, source, *which).min() == 1.0
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_the_recipe_trains_resumes_and_keeps_both_networks(tmp_path):
+def tiny_recipe(folder):
     stage = StageConfig(epochs=1, batch=8, learning_rate=1e-4, weight_decay=0.0)
-    config = RecipeConfig(
+    return RecipeConfig(
         name="tiny",
-        runs=str(tmp_path / "runs"),
+        runs=str(folder / "runs"),
         data="unused",
-        cache=str(tmp_path / "cache"),
+        cache=str(folder / "cache"),
         pretraining_trials=4,
         convolutions=stage,
         direction=stage,
         magnitude=stage,
     )
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_recipe_trains_resumes_and_keeps_both_networks(tmp_path):
+    config = tiny_recipe(tmp_path)
     source = SyntheticSource(30)
     first = train_recipe(config, source)
     again = train_recipe(config, source)
