@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import httpx
 import pytest
 
 from service.contract.token import TOKEN_FILE, read_token
@@ -49,6 +50,11 @@ class LiveService:
 
     def url(self, path: str, scheme: str = "http") -> str:
         return f"{scheme}://127.0.0.1:{self.port}{path}"
+
+    def metrics(self) -> str:
+        """The metrics as they are now: the service makes them ten times a second at most."""
+        time.sleep(0.11)
+        return httpx.get(self.url("/metrics")).text
 
 
 def bearer(station: Station) -> dict[str, str]:

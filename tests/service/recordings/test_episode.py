@@ -125,7 +125,7 @@ def given_up(live: LiveService, name: str, cause: wire.Cause) -> Path:
 
 def counted(live: LiveService) -> dict[tuple[str, str], float]:
     name, values = "tactile_insertions_total{", {}
-    for line in httpx.get(live.url("/metrics")).text.splitlines():
+    for line in live.metrics().splitlines():
         if not line.startswith(name):
             continue
         labels, value = line.removeprefix(name).split("} ")

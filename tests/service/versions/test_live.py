@@ -135,7 +135,7 @@ def test_the_better_one_decides_the_next_insertion_also_after_a_restart_and_a_wo
         active, before = state["active"]["version"], state["previous"]["version"]
         assert page["health"]["versions"][0] == f"version {active[:6]} decides"
         assert page["health"]["versions"][1] == f"before {before[:6]}: 1.0 of 20 after 1"
-        metrics = httpx.get(cell.url("/metrics")).text
+        metrics = cell.metrics()
         assert f'tactile_version_evidence{{role="previous",version="{before}"}} ' in metrics
     with live_service(tmp_path, models, shadow=shadow) as cell:
         assert ask(cell, "GET").json()["previous"]["ended_n"] == 1
@@ -148,7 +148,7 @@ def test_the_better_one_decides_the_next_insertion_also_after_a_restart_and_a_wo
         assert "was rejected: " in refused.json()["error"]
         page = httpx.get(cell.url("/v1/status")).json()
         assert [alarm["title"] for alarm in page["alarms"]] == ["The networks of before decide again"]
-        metrics = httpx.get(cell.url("/metrics")).text
+        metrics = cell.metrics()
         assert 'tactile_version_changes_total{what="rolled_back"} 1.0' in metrics
         assert "tactile_version_evidence{" not in metrics
     with live_service(tmp_path, models, shadow=shadow) as cell:  # a rejected one in a setting stops no cell

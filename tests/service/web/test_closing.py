@@ -5,7 +5,6 @@ import socket
 import time
 from pathlib import Path
 
-import httpx
 import pytest
 import structlog
 from websockets.exceptions import ConnectionClosed
@@ -103,7 +102,7 @@ def test_a_listener_that_fails_is_counted_and_breaks_no_insertion(live: LiveServ
         remove()
     assert live.station.hub.errors_n >= 3
     metric = f'tactile_internal_errors{{where="listener"}} {float(live.station.hub.errors_n)}'
-    assert metric in httpx.get(live.url("/metrics")).text
+    assert metric in live.metrics()
     live.station.hub.errors_n = 0
 
 

@@ -61,6 +61,6 @@ def test_a_changed_light_is_measured_and_named_everywhere(cell: LiveService) -> 
     assert "changed light" in alarm["title"]
     assert "brightness" in alarm["detail"]
     assert alarm["remedy"]
-    metrics = httpx.get(cell.url("/metrics")).text
+    metrics = cell.metrics()
     assert 'tactile_drift_alarms_total{cause="changed light"} 1.0' in metrics
     assert 'tactile_drift{chart="trials"} 0.0' in metrics

@@ -57,7 +57,7 @@ def test_an_ended_insertion_is_freed_at_once(live: LiveService) -> None:
 def test_health_ready_and_metrics_answer(live: LiveService) -> None:
     assert httpx.get(live.url("/healthz")).json() == {"status": "ok"}
     assert httpx.get(live.url("/readyz")).status_code == 200
-    text = httpx.get(live.url("/metrics")).text
+    text = live.metrics()
     assert 'tactile_frames_total{finger="left"}' in text
     assert "tactile_ready 1.0" in text
     assert 'tactile_internal_errors{where="perception"} 0.0' in text
@@ -95,7 +95,7 @@ def test_only_one_client_drives_and_others_watch(live: LiveService) -> None:
 def refused_n(live: LiveService) -> dict[str, float]:
     """How many clients were refused so far, by why."""
     line = r'^tactile_clients_refused_total{code="(\w+)"} (\S+)$'
-    return {code: float(n) for code, n in re.findall(line, httpx.get(live.url("/metrics")).text, re.MULTILINE)}
+    return {code: float(n) for code, n in re.findall(line, live.metrics(), re.MULTILINE)}
 
 
 def test_a_client_that_is_turned_away_is_counted_by_why(live: LiveService) -> None:
