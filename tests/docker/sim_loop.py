@@ -6,12 +6,14 @@ import os
 import socket
 import subprocess
 import time
+import tomllib
 import urllib.request
 from collections.abc import Callable, Iterator
 
 from tests.docker.images import ROOT, VerificationError, call
 
 PROJECT = "verify-images"
+CELL_TOML = "/var/lib/tactile/cell/cell.toml"
 PORT_NAMES = ("SERVICE", "EGM", "RWS", "GRIPPER", "CAMERA_LEFT", "CAMERA_RIGHT", "ADMIN")
 
 
@@ -82,14 +84,26 @@ class Loop:
     @contextlib.contextmanager
     def client(self) -> Iterator[subprocess.Popen[str]]:
         """One insertion in its container, as `compose run` starts it."""
-        command = [*self.compose, "--profile", "sim-insert", "run", "--rm", "-T", "--no-deps", "robot-client-sim"]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT)
+        process = subprocess.Popen(
+            self._client(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT
+        )
         try:
             yield process
         finally:
             if process.poll() is None:
                 process.terminate()
                 process.wait(30)
+
+    def put_back(self) -> None:
+        """Recover from a hold as an operator does: carry the object to its fixture, and open the fingers."""
+        cell = tomllib.loads(call(["podman", "exec", self.container("cell"), "cat", CELL_TOML]))
+        pick = cell["cycle"]["pick"]
+        pose = [f"--{name}-mm={pick[f'{name}_mm']}" for name in "xyz"] + [f"--theta-deg={pick['yaw_deg']}"]
+        for command in (["jog", *pose], ["home", "--direction=outward"]):
+            call([*self._client(), *command, "--live", f"--config={CELL_TOML}"])
+
+    def _client(self) -> list[str]:
+        return [*self.compose, "--profile", "sim-insert", "run", "--rm", "-T", "--no-deps", "robot-client-sim"]
 
     def truth(self) -> dict[str, object]:
         """The simulated cell's ground truth."""

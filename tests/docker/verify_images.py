@@ -2,8 +2,9 @@
 
 Checks, each of which must hold: no torch, no compiler and no root in any image; the root filesystem is read-only; the
 loop inserts an object; SIGKILL of the service in mid-insertion stops the arm, the service comes back ready by itself
-and the next insertion succeeds; SIGTERM drains within the grace period; the service is within its size and idle budget;
-the live profile and the Kubernetes manifest become ready, and the bundle installs without network.
+and the next insertion succeeds once the object is back in its fixture; SIGTERM drains within the grace period; the
+service is within its size and idle budget; the live profile and the Kubernetes manifest become ready, and the bundle
+installs without network.
 Ports are free ones, so that a running cell on this machine is not disturbed.
 """
 
@@ -156,7 +157,9 @@ def insert(report: Report, loop: Loop, what: str, tries: int = 3) -> bool:
     started = time.monotonic()
     endings = []
     for attempt in range(tries):
-        time.sleep(10.0 * attempt)  # an overloaded machine makes it hold, rightly; give that time to pass
+        if attempt > 0:  # an overloaded machine makes it hold, rightly; give that time to pass
+            time.sleep(10.0 * attempt)
+            loop.put_back()
         with loop.client() as client:
             output = client.communicate(timeout=300)[0]
         held = dict_of(loop.truth().get("object"))
@@ -190,7 +193,7 @@ def height_mm(loop: Loop) -> float:
 
 
 def break_and_recover(report: Report, loop: Loop) -> None:
-    """SIGKILL the service while the arm descends: the arm holds, the service returns, the next insertion succeeds."""
+    """SIGKILL the service while the arm descends: the arm holds, the service returns, a fresh grasp is inserted."""
     start_mm = height_mm(loop)
     with loop.client() as client:
         waited(lambda: height_mm(loop) < start_mm - 12.0, 120, "the arm in its descent", lambda: "client still waits")
@@ -209,7 +212,8 @@ def break_and_recover(report: Report, loop: Loop) -> None:
     report.add("service killed in the descent: client says", ended, client.returncode == 1)
     loop.wait_healthy("service-sim", 120)
     report.add("service killed in the descent: healthy again by itself after", f"{time.monotonic() - killed:.1f} s")
-    insert(report, loop, "next insertion after the kill")
+    loop.put_back()
+    insert(report, loop, "next insertion after the kill, with the object put back")
 
 
 def check_drain(report: Report, loop: Loop) -> None:
