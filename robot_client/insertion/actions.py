@@ -183,12 +183,16 @@ def renew(state: State, captured_ns: int, at_s: float) -> Result:
         return state, ()
     if not stood_s:
         return newer, (Renew(until_s=newer.until_s),)
-    # the rest of the way comes that much later
-    newer = replace(newer, speeds=tuple((due_s + stood_s, way_mm, mm_s) for due_s, way_mm, mm_s in state.speeds))
-    paused = wire.Descending(
-        insertion_id=state.plan.insertion_id, attempt=state.attempt, speed_mm_s=state.speed_mm_s, paused_s=stood_s
-    )
-    return newer, (Renew(until_s=newer.until_s), send(paused))
+    newer, paused = later(newer, stood_s)
+    return newer, (Renew(until_s=newer.until_s), *paused)
+
+
+def later(state: State, stood_s: float) -> Result:
+    """The arm stood on its way: the rest of it comes that much later, which networks that read depth must know."""
+    speeds = tuple((due_s + stood_s, way_mm, mm_s) for due_s, way_mm, mm_s in state.speeds)
+    named, paused_s = state.plan.insertion_id, min(stood_s, 1.0)  # the message holds no more
+    paused = wire.Descending(insertion_id=named, attempt=state.attempt, speed_mm_s=state.speed_mm_s, paused_s=paused_s)
+    return replace(state, speeds=speeds), (send(paused),)
 
 
 def unwatched(state: State, at_s: float) -> Result:
