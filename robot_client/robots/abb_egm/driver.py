@@ -169,8 +169,8 @@ class EgmArm:
             self._worst_reply_us = max(self._worst_reply_us, (time.perf_counter_ns() - received_ns) / 1e3)
 
     def _is_robot(self, address: tuple[str, int]) -> bool:
-        expected = self.settings.robot_host
-        if (expected is not None and address[0] != expected) or (self._robot is not None and address != self._robot):
+        may_change = self._guide is None and self._watch.not_ready  # each run may have its own port
+        if self.settings.robot_host not in (None, address[0]) or not (may_change or self._robot in (None, address)):
             self._foreign += 1
             return False
         self._robot = address
