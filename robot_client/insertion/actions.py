@@ -7,6 +7,7 @@ from dataclasses import replace
 from robot_client.insertion.events import Command, Hold, Move, Renew, Send, Source
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Leg, LimitError, Motion, check_pose, check_straightening
+from robot_client.insertion.motion import LOST_S
 from robot_client.insertion.state import Phase, State
 from service.contract import wire
 
@@ -210,9 +211,14 @@ def hold(state: State, reason: str, at_s: float) -> Result:
 
 
 def stop(state: State, message: wire.Slip | wire.Enough, at_s: float) -> Result:
-    state = replace(state, touched=message.pressed_mm is not None)
+    """Stop at once. Where the frame shows an arm that stood by then, the service learns it before it decides."""
     felt = f"slip on finger {message.finger}" if message.type == "slip" else f"pressed by {message.pressed_mm:.2f} mm"
-    return hold(state, f"{felt}, frame {message.frame_seq}", at_s)
+    stopping = replace(state, touched=message.pressed_mm is not None)
+    stopping, commands = hold(stopping, f"{felt}, frame {message.frame_seq}", at_s)
+    captured_s = -math.inf if state.clock is None else state.clock.ours_s(message.captured_ns, at_s)
+    if captured_s - state.until_s < LOST_S:
+        return stopping, commands
+    return stopping, (*commands, *later(state, at_s - state.until_s)[1])
 
 
 def lift(state: State, at_s: float) -> Result:

@@ -100,6 +100,18 @@ def test_an_arm_that_stood_because_its_link_had_gaps_is_reported_like_a_pause(st
     assert step(run(TO_DESCENT[:-1])[0], stood)[1] == ()
 
 
+@pytest.mark.parametrize(("captured_s", "paused_n"), [(-0.01, 0), (0.04, 0), (0.06, 1)])
+def test_a_stop_by_a_frame_that_shows_an_arm_that_already_stood_says_for_how_long(captured_s, paused_n):
+    """A late order by a frame from before the pause tells nothing: its depth is right."""
+    state, _ = descending(PAUSE_S)
+    enough = wire.Enough(
+        insertion_id=ID, attempt=1, frame_seq=3, captured_ns=round((LASTS_S + captured_s) * 1e9), pressed_mm=0.8
+    )
+    state, (first, *others) = step(state, service(enough, LASTS_S + 0.1))
+    assert (state.phase, first.kind) == (Phase.STOPPING, "hold")
+    assert [c.message.paused_s for c in others] == [pytest.approx(0.1)] * paused_n
+
+
 def test_nothing_descends_before_the_clocks_are_mapped_or_on_an_old_reference():
     strange = [*TO_ARMING[:1], service(hello(clock=None)), *TO_ARMING[2:], service(armed(1))]
     old = [*TO_ARMING, service(armed(1), 0.5)]
