@@ -2,6 +2,7 @@
 # Install this bundle on a cell without internet. usage: ./install.sh [--prefix DIR] [--no-systemd]
 # Between insertions: at the end it restarts the services that run.
 set -eu
+umask 022  # a hardened machine hides what root writes from the user that the service runs as
 prefix=/opt/tactile-insertion
 units=yes
 while [ $# -gt 0 ]; do
@@ -17,6 +18,7 @@ python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "install
 mkdir -p "$prefix"
 rm -rf "$prefix/app.new" "$prefix/venv.new"
 cp -r app "$prefix/app.new"
+chmod -R go+rX "$prefix/app.new"  # it may have been unpacked under another umask
 # Two folders, renamed at the end: a failed installation leaves the running version as it was.
 python3 -m venv "$prefix/venv.new"
 "$prefix/venv.new/bin/python" -m pip install -q --no-index --find-links wheels --require-hashes --no-deps -r app/requirements/run.txt

@@ -7,6 +7,7 @@ from dataclasses import replace
 from robot_client.insertion.events import Command, Hold, Move, Renew, Send, Source
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Leg, LimitError, Motion, check_pose, check_straightening
+from robot_client.insertion.motion import LOST_S
 from robot_client.insertion.state import Phase, State
 from service.contract import wire
 
@@ -183,12 +184,16 @@ def renew(state: State, captured_ns: int, at_s: float) -> Result:
         return state, ()
     if not stood_s:
         return newer, (Renew(until_s=newer.until_s),)
-    # the rest of the way comes that much later
-    newer = replace(newer, speeds=tuple((due_s + stood_s, way_mm, mm_s) for due_s, way_mm, mm_s in state.speeds))
-    paused = wire.Descending(
-        insertion_id=state.plan.insertion_id, attempt=state.attempt, speed_mm_s=state.speed_mm_s, paused_s=stood_s
-    )
-    return newer, (Renew(until_s=newer.until_s), send(paused))
+    newer, paused = later(newer, stood_s)
+    return newer, (Renew(until_s=newer.until_s), *paused)
+
+
+def later(state: State, stood_s: float) -> Result:
+    """The arm stood on its way: the rest of it comes that much later, which networks that read depth must know."""
+    speeds = tuple((due_s + stood_s, way_mm, mm_s) for due_s, way_mm, mm_s in state.speeds)
+    named, paused_s = state.plan.insertion_id, min(stood_s, 1.0)  # the message holds no more
+    paused = wire.Descending(insertion_id=named, attempt=state.attempt, speed_mm_s=state.speed_mm_s, paused_s=paused_s)
+    return replace(state, speeds=speeds), (send(paused),)
 
 
 def unwatched(state: State, at_s: float) -> Result:
@@ -206,9 +211,14 @@ def hold(state: State, reason: str, at_s: float) -> Result:
 
 
 def stop(state: State, message: wire.Slip | wire.Enough, at_s: float) -> Result:
-    state = replace(state, touched=message.pressed_mm is not None)
+    """Stop at once. Where the frame shows an arm that stood by then, the service learns it before it decides."""
     felt = f"slip on finger {message.finger}" if message.type == "slip" else f"pressed by {message.pressed_mm:.2f} mm"
-    return hold(state, f"{felt}, frame {message.frame_seq}", at_s)
+    stopping = replace(state, touched=message.pressed_mm is not None)
+    stopping, commands = hold(stopping, f"{felt}, frame {message.frame_seq}", at_s)
+    captured_s = -math.inf if state.clock is None else state.clock.ours_s(message.captured_ns, at_s)
+    if captured_s - state.until_s < LOST_S:
+        return stopping, commands
+    return stopping, (*commands, *later(state, at_s - state.until_s)[1])
 
 
 def lift(state: State, at_s: float) -> Result:

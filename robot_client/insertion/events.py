@@ -62,6 +62,13 @@ class Standstill(_Event):
     still_s: float = Field(default=0.0, ge=0.0)
 
 
+class Stood(_Event):
+    """The descent under way is ``stood_s`` later than planned, because the arm's link had gaps."""
+
+    kind: Literal["stood"] = "stood"
+    stood_s: float = Field(ge=0.0)
+
+
 class FromService(_Event):
     """A message of the decision service."""
 
@@ -85,7 +92,7 @@ class Tick(_Event):
 
 
 Event = Annotated[
-    Begin | Grasped | Width | PartLost | Arrived | Standstill | FromService | Failure | Tick,
+    Begin | Grasped | Width | PartLost | Arrived | Standstill | Stood | FromService | Failure | Tick,
     Field(discriminator="kind"),
 ]
 

@@ -21,11 +21,16 @@ def on_gripper(state: State, event: Grasped | Width | PartLost) -> Result:
         case PartLost():
             return _on_part_lost(state, event)
         case Grasped() if state.phase is Phase.GRASPING:
-            return _on_grasped(replace(state, width_mm=event.width_mm), event)
+            return _on_grasped(replace(state, width_mm=_width_mm(event)), event)
         case Width():
-            return replace(state, width_mm=event.width_mm), ()
+            return replace(state, width_mm=_width_mm(event)), ()
         case _:
             return state, ()
+
+
+def _width_mm(event: Grasped | Width) -> float:
+    """Closed fingers may seem to be closer than that by the gripper's inaccuracy; no message can say so."""
+    return max(0.0, event.width_mm)
 
 
 def _on_grasped(state: State, event: Grasped) -> Result:

@@ -21,6 +21,7 @@ from robot_client.insertion.actions import (
     fail,
     go,
     hold,
+    later,
     lift,
     probed,
     renew,
@@ -41,6 +42,7 @@ from robot_client.insertion.events import (
     PartLost,
     Source,
     Standstill,
+    Stood,
     Tick,
     Width,
 )
@@ -72,6 +74,8 @@ def step(state: State, event: Event) -> Result:
             result = _ON_ARRIVAL[state.phase](replace(state, pose=event.pose), event)
         case Standstill() if state.phase is Phase.STOPPING:
             result = _on_standstill(state, event)
+        case Stood() if state.phase is Phase.DESCENDING:
+            result = later(state, event.stood_s)
         case _:
             result = state, ()
     return result
@@ -126,10 +130,6 @@ def _on_approached(state: State, event: Arrived) -> Result:
     return arm(state, state.plan.approach, event.at_s)
 
 
-def _on_bottom(state: State, event: Arrived) -> Result:
-    return hold(state, "depth reached", event.at_s)
-
-
 def _on_standstill(state: State, event: Standstill) -> Result:
     """Report the depth: short of full depth is blocked; at full depth the service decides on the insertion."""
     assert state.armed is not None
@@ -147,7 +147,7 @@ def _on_standstill(state: State, event: Standstill) -> Result:
             depth_mm=depth_mm,
             outcome=outcome,
             gripper_width_mm=state.width_mm,
-            still_s=event.still_s,
+            still_s=min(event.still_s, 1.0),  # the message holds no more
         )
     )
     if outcome == "dropped":
@@ -177,7 +177,7 @@ def _on_corrected(state: State, event: Arrived) -> Result:
 
 _ON_ARRIVAL: dict[Phase, Callable[[State, Arrived], Result]] = {
     Phase.APPROACHING: _on_approached,
-    Phase.DESCENDING: _on_bottom,
+    Phase.DESCENDING: lambda state, event: hold(state, "depth reached", event.at_s),
     Phase.RETRACTING: _on_retracted,
     Phase.CORRECTING: _on_corrected,
 }

@@ -15,6 +15,7 @@ from service.contract.frames import Contract
 CYCLE_S = 0.004
 MISSED_CYCLES = 3
 TURN_DEG_S = 55.0  # no ramp turns faster, and the limits allow slightly more
+LOST_S = 0.05  # time that a descent lost is reported from this on: a quarter of a millimetre at the probing speed
 _RESUME_S = 0.05  # after a gap the motion resumes on a ramp of this duration, no steeper than its own
 _SETTLE_MM = 0.03
 _SETTLE_DEG = 0.03
@@ -113,6 +114,7 @@ class MotionGuide:
         self._paused_s: float | None = None
         self._walked_s = 0.0
         self._rate = 1.0
+        self._lost_s = 0.0
         self._resume_s = _RESUME_S
         self._waiting: Settled | None = None
         self._still: WorkPose | None = None
@@ -142,7 +144,7 @@ class MotionGuide:
         self._start, self._end, self._motion = self.target, end, motion
         self._profile = profile
         self._resume_s = self._resumes_in_s(max((speed for _, speed in legs), default=0.0))
-        self._walked_s, self._rate, self._until_s = 0.0, 1.0, until_s
+        self._walked_s, self._rate, self._lost_s, self._until_s = 0.0, 1.0, 0.0, until_s
         self._waiting, self._still, self._paused_s = "arrived", None, None
 
     def _resumes_in_s(self, fastest_mm_s: float) -> float:
@@ -175,8 +177,8 @@ class MotionGuide:
         if self._profile is None or elapsed_s <= 0.0:
             return self.target
         if self._until_s is not None and now_s >= self._until_s:
-            return self._pause(self._until_s, now_s)
-        self._paused_s = None
+            return self._pause(self._until_s, elapsed_s, now_s)
+        self._paused_s, walked_s = None, self._walked_s
         if elapsed_s > (MISSED_CYCLES + 0.5) * CYCLE_S:
             self._rate = min(self._rate, MISSED_CYCLES * CYCLE_S / elapsed_s)
             self._walked_s += elapsed_s * self._rate
@@ -184,6 +186,7 @@ class MotionGuide:
             # The speed grows during the step, not after it: otherwise a long step before a short one is a jolt.
             before, self._rate = self._rate, min(1.0, self._rate + elapsed_s / self._resume_s)
             self._walked_s += elapsed_s * (before + self._rate) / 2.0
+        self._lost_s += elapsed_s - (self._walked_s - walked_s)
         share = self._profile.position(self._walked_s) / self._profile.length if self._profile.length > 0 else 1.0
         target = self._end if share >= 1.0 else self._start.towards(self._end, share)
         self.target = self._guard.check(target, elapsed_s, self._motion)
@@ -191,9 +194,17 @@ class MotionGuide:
             self._profile = None
         return self.target
 
-    def _pause(self, since_s: float, now_s: float) -> WorkPose:
+    def take_lost_s(self) -> float:
+        """Time by which gaps have delayed the descent since the last call, s; 0 below LOST_S. No pause counts."""
+        if self._motion != "descend" or self._lost_s < LOST_S:
+            return 0.0
+        lost_s, self._lost_s = self._lost_s, 0.0
+        return lost_s
+
+    def _pause(self, since_s: float, elapsed_s: float, now_s: float) -> WorkPose:
         """Stand; renewals that come too late to move on do not prolong the pause."""
         if self._paused_s is None:
+            self._lost_s += max(0.0, elapsed_s - (now_s - since_s))  # a gap before the lease ended
             self._paused_s, self._rate = since_s, 0.0
             self.pauses_n += 1
         if now_s - self._paused_s >= PAUSE_S:

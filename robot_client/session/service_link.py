@@ -35,7 +35,7 @@ class ServiceSettings(Contract):
     token_file: Path | None = None
     connect_timeout_s: float = Field(default=3.0, gt=0)
     heartbeat_s: float = Field(default=0.1, gt=0, le=1.0)
-    silence_s: float = Field(default=0.75, gt=0)
+    silence_s: float = Field(default=0.75, gt=0, le=30)
 
     def token(self) -> str | None:
         """The token for driving, None if none is found; raises DriverError if its file is unusable."""

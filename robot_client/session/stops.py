@@ -2,7 +2,7 @@
 
 import math
 
-from robot_client.insertion.events import Event, FromService, Standstill
+from robot_client.insertion.events import Event, FromService, Standstill, Stood
 from robot_client.insertion.state import Phase, State
 from service.contract import wire
 from service.contract.frames import Contract
@@ -34,8 +34,8 @@ class Stop(Contract):
 class StopWatch:
     """Observer that keeps the stop of an attempt that ends because it was pressed enough, or slips, until the next one.
 
-    None is kept after a slip without a known press, nor where the arm stood on the way for want of a judged frame: then
-    its travel is not its speed times the time.
+    None is kept after a slip without a known press, nor where the arm stood on the way for want of a judged frame or of
+    guidance: then its travel is not its speed times the time.
     """
 
     def __init__(self) -> None:
@@ -51,7 +51,7 @@ class StopWatch:
             self._judged_ns = []
             self._until_s, self._paused = math.inf, False
         descends = state.phase is Phase.DESCENDING
-        self._paused |= event.at_s >= self._until_s
+        self._paused |= isinstance(event, Stood) or event.at_s >= self._until_s
         self._until_s = state.until_s if descends else math.inf
         if descends and isinstance(event, FromService) and isinstance(event.message, wire.Watching):
             self._judged_ns.append(event.message.frame_captured_ns)

@@ -63,11 +63,11 @@ class GraspRecord:
 
 
 def went_mm_s(attempt: Attempt) -> float:
-    """Mean speed of a descent, or of its last leg; infinite if its time is unknown."""
+    """Mean speed of a descent, or of its last leg, pauses left out; infinite if its time is unknown."""
     began, stopped = attempt.leg_ns or attempt.descending_ns, attempt.stopped_ns
-    if began is None or stopped is None or not began < stopped:
+    if began is None or stopped is None or not (going_ns := attempt.legs.going_ns(began, stopped)) > 0:
         return math.inf
-    return (attempt.depth_mm - attempt.start_mm) * 1e9 / (stopped - began)
+    return (attempt.depth_mm - attempt.start_mm) * 1e9 / going_ns
 
 
 def pressed_mm(attempt: Attempt) -> float:
@@ -77,7 +77,7 @@ def pressed_mm(attempt: Attempt) -> float:
         return 0.0
     leg = began if attempt.leg_ns is None else attempt.leg_ns
     before_mm = max(0.0, attempt.legs.travel_mm(onset, leg))
-    return before_mm + went_mm_s(attempt) * (stopped - max(onset, leg)) * 1e-9
+    return before_mm + went_mm_s(attempt) * attempt.legs.going_ns(max(onset, leg), stopped) * 1e-9
 
 
 def touch_of(attempt: Attempt) -> Touch | None:

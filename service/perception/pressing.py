@@ -75,7 +75,12 @@ class Legs:
     """The speeds at which an arm descends, each from a stamp on; a pause is a leg without speed."""
 
     _legs: list[tuple[int, float]] = field(default_factory=list)
-    paused_ns: int | None = None  # end of the last pause
+    _pauses: list[tuple[int, int]] = field(default_factory=list)
+
+    @property
+    def paused_ns(self) -> int | None:
+        """End of the last pause, None without one."""
+        return self._pauses[-1][1] if self._pauses else None
 
     def add(self, from_ns: int, speed_mm_s: float) -> None:
         """From that stamp on the arm goes at that speed."""
@@ -83,9 +88,14 @@ class Legs:
 
     def pauses(self, until_ns: int, paused_s: float) -> None:
         """The arm stood for so long, and goes on at the speed it had."""
-        going_mm_s = self._legs[-1][1] if self._legs else 0.0
-        self._legs += [(until_ns - round(paused_s * 1e9), 0.0), (until_ns, going_mm_s)]
-        self.paused_ns = until_ns
+        going_mm_s, from_ns = self._legs[-1][1] if self._legs else 0.0, until_ns - round(paused_s * 1e9)
+        self._legs += [(from_ns, 0.0), (until_ns, going_mm_s)]
+        self._pauses.append((from_ns, until_ns))
+
+    def going_ns(self, since_ns: int, until_ns: int) -> int:
+        """The time between two stamps, without the pauses in it."""
+        stood_ns = sum(max(0, min(end, until_ns) - max(begin, since_ns)) for begin, end in self._pauses)
+        return until_ns - since_ns - stood_ns
 
     def speed_mm_s(self, at_ns: int) -> float | None:
         """The speed at a stamp, the first one before; None if none is known."""

@@ -44,3 +44,14 @@ def test_an_upgrade_restarts_the_services_that_run_once_the_new_version_lies_the
     calls = [call for call in installed(bundle) if call.startswith("systemctl")]
     assert calls == ["systemctl daemon-reload [new]", "systemctl try-restart tactile-insertion@* [new]"]
     assert (bundle.parent / "prefix" / "app.old" / "version").read_text() == "old"
+
+
+def test_what_a_hardened_machine_installs_can_be_read_by_the_user_of_the_service(bundle: Path) -> None:
+    (bundle / "app" / "version").chmod(0o600)
+    before = os.umask(0o077)
+    try:
+        installed(bundle)
+    finally:
+        os.umask(before)
+    hidden = [path for path in (bundle.parent / "prefix").rglob("*") if not path.stat().st_mode & 0o004]
+    assert hidden == []

@@ -23,7 +23,6 @@ from robot_client.silence import Silence
 
 _HOME = "`python -m robot_client home --live` with empty fingers"
 _ACKNOWLEDGE = "`python -m robot_client home --live --acknowledge`"
-_READ_BYTES = 4096
 _WIDTH_STEP_MM = 0.1  # a smaller change of the width is not reported
 _OPENED_MM = 1.0
 
@@ -41,6 +40,7 @@ class Wsg50(Gripper):
     system: SystemState = field(default_factory=lambda: SystemState(0))
     limits: dict[str, tuple[float, float]] = field(default_factory=dict)
     _post: Post | None = None
+    _opening: asyncio.Task[None] | None = None
     _writer: asyncio.StreamWriter | None = None
     _reader: asyncio.Task[None] | None = None
     _waiting: dict[int, asyncio.Queue[Reply]] = field(default_factory=dict)
@@ -61,14 +61,8 @@ class Wsg50(Gripper):
 
     async def connect(self) -> None:
         """Connect and read limits, system state and grasping state; raises GripperError. Moves nothing."""
-        opening = asyncio.open_connection(self.settings.host, self.settings.port)
-        try:
-            reader, self._writer = await asyncio.wait_for(opening, self.settings.reply_timeout_s)
-        except (OSError, TimeoutError) as error:
-            where, why = self.settings.address, f"{type(error).__name__} {error}".rstrip()
-            raise GripperError(f"gripper: cannot connect to {where}: {why}") from None
-        self._silence.heard(time.monotonic())
-        self._reader = asyncio.get_running_loop().create_task(self._read(reader))
+        self._opening = asyncio.get_running_loop().create_task(self._open())
+        await asyncio.shield(self._opening)  # an interrupt must leave no connection that nobody announces the end of
         stroke, v0, v1, _, _, f0, f1, _ = (float(v) for v in (await self.request(Command.SYSTEM_LIMITS)).values)
         self.limits = {"force_limit_n": (f0, f1), "grasp_speed_mm_s": (v0, v1), "grasp_width_mm": (0.0, stroke)}
         await self._read_state()
@@ -86,12 +80,13 @@ class Wsg50(Gripper):
         self._post = None
         for task in list(self._tasks):
             task.cancel()
+        if self._opening is not None:
+            await asyncio.wait({self._opening})
         if self._writer is not None:
-            for command in (Command.WIDTH, Command.GRASPING_STATE):
+            once = UpdateFlag.ONCE, 0
+            for command, values in ((Command.WIDTH, once), (Command.GRASPING_STATE, once), (Command.DISCONNECT, ())):
                 with contextlib.suppress(GripperError):
-                    await self.request(command, UpdateFlag.ONCE, 0)
-            with contextlib.suppress(GripperError):
-                await self.request(Command.DISCONNECT)
+                    await self.request(command, *values)
             self._writer.close()
         if self._reader is not None:
             self._reader.cancel()
@@ -108,8 +103,7 @@ class Wsg50(Gripper):
 
     async def width_mm(self) -> float:
         """Opening between the fingers; raises GripperError."""
-        (width,) = (await self.request(Command.WIDTH, UpdateFlag.ONCE, 0)).values
-        return float(width)
+        return float((await self.request(Command.WIDTH, UpdateFlag.ONCE, 0)).values[0])
 
     def checks(self) -> dict[str, Check]:
         """Connection, faults, limits and state."""
@@ -161,6 +155,16 @@ class Wsg50(Gripper):
             raise GripperError(f"gripper: {command.name}: {self._lost or reply.status.name}")
         return reply
 
+    async def _open(self) -> None:
+        opening = asyncio.open_connection(self.settings.host, self.settings.port)
+        try:
+            reader, self._writer = await asyncio.wait_for(opening, self.settings.reply_timeout_s)
+        except (OSError, TimeoutError) as error:
+            where, why = self.settings.address, f"{type(error).__name__} {error}".rstrip()
+            raise GripperError(f"gripper: cannot connect to {where}: {why}") from None
+        self._silence.heard(time.monotonic())
+        self._reader = asyncio.get_running_loop().create_task(self._read(reader))
+
     async def _subscribe(self) -> float:
         """Have state and width sent until one is asked for once, which ends it ([M] 3.4.1); returns the width in mm."""
         for command in (Command.GRASPING_STATE, Command.WIDTH):
@@ -178,8 +182,7 @@ class Wsg50(Gripper):
         await self._read_state()
 
     async def _read_state(self) -> None:
-        (bits,) = (await self.request(Command.SYSTEM_STATE, UpdateFlag.ONCE, 0)).values
-        self.system = SystemState(int(bits))
+        self.system = SystemState(int((await self.request(Command.SYSTEM_STATE, UpdateFlag.ONCE, 0)).values[0]))
         await self.request(Command.GRASPING_STATE, UpdateFlag.ONCE, 0)
 
     def _check_healthy(self) -> None:
@@ -192,21 +195,19 @@ class Wsg50(Gripper):
             raise GripperError(f"gripper: not homed; run {_HOME}")
 
     async def _close_fingers(self) -> None:
-        settings = self.settings
         self._check_ready()
         for name, (low, high) in self.limits.items():  # out of range the gripper may clamp or latch a fast stop
-            value = getattr(settings, name)
+            value = getattr(self.settings, name)
             if not low <= value <= high:
                 raise GripperError(f"gripper: {name} = {value:g}, this gripper allows {low:g} .. {high:g}")
-        await self.request(Command.SET_FORCE_LIMIT, settings.force_limit_n)
-        await self.request(Command.GRASP, settings.grasp_width_mm, settings.grasp_speed_mm_s)
+        await self.request(Command.SET_FORCE_LIMIT, self.settings.force_limit_n)
+        await self.request(Command.GRASP, self.settings.grasp_width_mm, self.settings.grasp_speed_mm_s)
 
     # ---- background -----------------------------------------------------------------------------------------------
 
     async def _check(self) -> list[Finding]:
         """Faults, homing, the force limit against the gripper's own, state and width."""
         await self.connect()
-        assert self.state is not None
         width_mm = await self.width_mm()
         faults, force_n = self.system & FAULT_BITS, self.settings.force_limit_n
         low_n, high_n = self.limits["force_limit_n"]
@@ -215,7 +216,7 @@ class Wsg50(Gripper):
             Finding(not faults, f"faults: {faults.name or 'none'}" if faults else "no fault"),
             Finding(homed, "homed" if homed else f"not homed: run {_HOME}"),
             Finding(low_n <= force_n <= high_n, f"force limit {force_n:g} N of {low_n, high_n} N"),
-            Finding(True, f"grasping state {self.state.name}, width {width_mm:.1f} mm"),
+            Finding(True, f"grasping state {self.state and self.state.name}, width {width_mm:.1f} mm"),
         ]
 
     async def _grasp(self) -> None:
@@ -234,7 +235,7 @@ class Wsg50(Gripper):
 
     async def _read(self, reader: asyncio.StreamReader) -> None:
         try:
-            while data := await reader.read(_READ_BYTES):
+            while data := await reader.read(4096):
                 for frame in self._parser.feed(data):
                     self._route(frame)
             self._lost = "the gripper closed the connection"
@@ -296,5 +297,4 @@ class Wsg50(Gripper):
         task.add_done_callback(self._tasks.discard)
 
 
-def make(settings: Settings) -> Gripper:
-    return Wsg50(settings)
+make = Wsg50

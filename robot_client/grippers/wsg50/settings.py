@@ -18,8 +18,8 @@ class Settings(DeviceSettings):
     force_limit_n: float = Field(default=40.0, gt=0)
     reply_timeout_s: float = Field(default=1.0, gt=0)
     motion_timeout_s: float = Field(default=10.0, gt=0)
-    update_period_ms: int = Field(default=20, ge=10, le=1000)
-    silence_s: float = Field(default=0.5, gt=0)
+    update_period_ms: int = Field(default=20, ge=10, le=200)  # two within silence_s
+    silence_s: float = Field(default=0.5, gt=0, le=30)
 
     @property
     def address(self) -> str:

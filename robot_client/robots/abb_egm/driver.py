@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import urlsplit
 
-from robot_client.insertion.events import Arrived, Failure, Standstill
+from robot_client.insertion.events import Arrived, Failure, Standstill, Stood
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.lease import Unwatched
 from robot_client.insertion.limits import Leg, LimitError, Limits, Motion
@@ -169,8 +169,8 @@ class EgmArm:
             self._worst_reply_us = max(self._worst_reply_us, (time.perf_counter_ns() - received_ns) / 1e3)
 
     def _is_robot(self, address: tuple[str, int]) -> bool:
-        expected = self.settings.robot_host
-        if (expected is not None and address[0] != expected) or (self._robot is not None and address != self._robot):
+        may_change = self._guide is None and self._watch.not_ready  # each run may have its own port
+        if self.settings.robot_host not in (None, address[0]) or not (may_change or self._robot in (None, address)):
             self._foreign += 1
             return False
         self._robot = address
@@ -242,11 +242,12 @@ class EgmArm:
 
     def _report(self, measured: WorkPose, now_s: float) -> None:
         assert self._guide is not None
+        if lost_s := self._guide.take_lost_s():
+            self._post(Stood(at_s=now_s, stood_s=lost_s))
         settled = self._guide.observe(measured, now_s)
         if settled and not self._failed:
-            arrived = settled == "arrived"
             still = Standstill(at_s=now_s, pose=measured, still_s=SETTLE_S)
-            self._post(Arrived(at_s=now_s, pose=measured) if arrived else still)
+            self._post(Arrived(at_s=now_s, pose=measured) if settled == "arrived" else still)
 
     # ---- trouble --------------------------------------------------------------------------------------------------
 

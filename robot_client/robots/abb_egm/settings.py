@@ -18,6 +18,6 @@ class Settings(DeviceSettings):
     port: int = Field(default=6510, ge=0, le=65535)
     robot_host: str | None = None
     ready_timeout_s: float = Field(default=8.0, gt=0)
-    silence_s: float = Field(default=0.25, gt=0)  # harmless in position mode: targets stop with the stream
-    max_age_s: float = Field(default=0.25, gt=0)
+    silence_s: float = Field(default=0.25, gt=0, le=30)  # harmless in position mode: targets stop with the stream
+    max_age_s: float = Field(default=0.25, gt=0, le=30)
     rws: RwsSettings = RwsSettings()

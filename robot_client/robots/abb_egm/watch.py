@@ -69,6 +69,8 @@ class EgmWatch:
     def ready(self, state: RobotState) -> bool:
         """True if the controller follows targets; ``not_ready`` names the missing condition."""
         self.not_ready = state.unfit
+        if self.not_ready:  # it may be of an earlier run: the next one counts its datagrams anew
+            self._last = self._least_lag_s = None
         return not self.not_ready
 
     def check(self, state: RobotState) -> None:

@@ -107,7 +107,7 @@ MODULE TactileMotion
         IF ERRNO = ERR_WHLSEARCH THEN
             ended := TRUE;
             TRYNEXT;
-        ELSEIF ERRNO = ERR_SIGSUPSEARCH THEN
+        ELSEIF ERRNO = ERR_PERSSUPSEARCH OR ERRNO = ERR_SIGSUPSEARCH THEN
             TRYNEXT; ! the stop was up before the start: nothing moved
         ELSE
             tactileMoving := FALSE;

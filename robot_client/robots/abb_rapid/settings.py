@@ -18,5 +18,5 @@ class Settings(DeviceSettings):
     guard_port: int = Field(default=5011, ge=0, le=65535)
     connect_timeout_s: float = Field(default=5.0, gt=0)
     poll_s: float = Field(default=0.02, gt=0)
-    silence_s: float = Field(default=0.5, gt=0)
+    silence_s: float = Field(default=0.5, gt=0, le=30)
     rws: RwsSettings = RwsSettings()

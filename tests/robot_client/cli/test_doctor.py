@@ -187,6 +187,19 @@ def test_a_fault_is_named_where_it_is_with_its_remedy(name, examined):
     assert all(row.remedy != GENERAL for row in wrong), wrong
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("gripper: SYSTEM_LIMITS: connection lost: [Errno 104] Connection reset by peer", "one client at a time"),
+        ("http://10.0.0.1 is neither RWS 1.0 nor 2.0 (HTTP 200, ...); check robot.rws.url", "robot.rws.url"),
+        ("robot: cannot listen on UDP 10.0.0.9:6510: [Errno 99] Cannot assign requested address", "robot.bind"),
+        ("robot: cannot listen on UDP 0.0.0.0:6510: [Errno 98] Address already in use", "Another client"),
+    ],
+)
+def test_what_another_device_says_has_no_remedy_of_the_service(text, words):
+    assert words in remedy_of(text)
+
+
 def test_a_pc_with_one_core_or_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
     allowed = os.sched_getaffinity(0)
     try:

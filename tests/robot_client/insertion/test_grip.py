@@ -19,3 +19,12 @@ def test_fingers_that_were_on_the_object_all_the_time_showed_no_open_gels(stood_
     asked = [c.message.forget for c in commands if isinstance(c, Send) and c.message.type == "learn_open"]
     assert asked == [False] * (not held) + [True] * forgets
     assert state.phase is Phase.APPROACHING
+
+
+def test_a_width_slightly_below_nothing_is_reported_as_nothing():
+    """A gripper is inaccurate by some hundredths, and no width of a message is negative."""
+    narrow = [
+        event.model_copy(update={"width_mm": -0.02}) if isinstance(event, Grasped) else event for event in TO_ARMING
+    ]
+    state, (*_, arm) = run([*narrow[:-1], Width(at_s=0.0, width_mm=-0.03), narrow[-1]])
+    assert (state.phase, arm.message.gripper_width_mm) == (Phase.ARMING, 0.0)

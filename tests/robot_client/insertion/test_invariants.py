@@ -18,6 +18,7 @@ from robot_client.insertion.events import (
     PartLost,
     Send,
     Standstill,
+    Stood,
     Tick,
 )
 from robot_client.insertion.limits import check_pose
@@ -97,6 +98,7 @@ def make_event(kind, number, state, now):
         ),
         lambda: Standstill(at_s=now, pose=here),
         lambda: service(wire.OpenLearnt(insertion_id=insertion_id), now),
+        lambda: Stood(at_s=now, stood_s=number / 100),
     )
     return makers[kind]()
 
@@ -195,7 +197,7 @@ def tell(story):
     for index in range(0, len(story) - 1, 2):
         choice, number = story[index], story[index + 1]
         now += 0.01
-        kind = choice % 17
+        kind = choice % 18
         if choice >= wild:
             kind = EXPECTED.get(state.phase, kind)
             number = MILD[number % len(MILD)] if mild else number

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_client.insertion.events import Hold, Move, Renew, Tick
+from robot_client.insertion.events import Hold, Move, Renew, Stood, Tick
 from robot_client.insertion.lease import PAUSE_S, ClockMap, Lease, Unwatched
 from robot_client.insertion.limits import LimitError, Limits
 from robot_client.insertion.machine import Phase, State, step
@@ -87,6 +87,29 @@ def test_a_frame_that_is_judged_within_the_pause_renews_the_lease():
     assert paused.message.paused_s == pytest.approx(0.1)
     _, (renewed,) = step(state, service(watching(1, late_s), late_s + 0.01))
     assert isinstance(renewed, Renew), "without a pause there is nothing to say"
+
+
+@pytest.mark.parametrize(("stood_s", "stated_s"), [(0.19, 0.19), (4.0, 1.0)])
+def test_an_arm_that_stood_because_its_link_had_gaps_is_reported_like_a_pause(stood_s, stated_s):
+    """Else the service would take the time for travel, and the touch for as much deeper."""
+    state, _ = descending(PAUSE_S)
+    stood = Stood(at_s=0.05, stood_s=stood_s)
+    after, (paused,) = step(state, stood)
+    assert (after.phase, after.until_s) == (Phase.DESCENDING, state.until_s), "it renews nothing"
+    assert (paused.message.type, paused.message.speed_mm_s, paused.message.paused_s) == ("descending", 10.0, stated_s)
+    assert step(run(TO_DESCENT[:-1])[0], stood)[1] == ()
+
+
+@pytest.mark.parametrize(("captured_s", "paused_n"), [(-0.01, 0), (0.04, 0), (0.06, 1)])
+def test_a_stop_by_a_frame_that_shows_an_arm_that_already_stood_says_for_how_long(captured_s, paused_n):
+    """A late order by a frame from before the pause tells nothing: its depth is right."""
+    state, _ = descending(PAUSE_S)
+    enough = wire.Enough(
+        insertion_id=ID, attempt=1, frame_seq=3, captured_ns=round((LASTS_S + captured_s) * 1e9), pressed_mm=0.8
+    )
+    state, (first, *others) = step(state, service(enough, LASTS_S + 0.1))
+    assert (state.phase, first.kind) == (Phase.STOPPING, "hold")
+    assert [c.message.paused_s for c in others] == [pytest.approx(0.1)] * paused_n
 
 
 def test_nothing_descends_before_the_clocks_are_mapped_or_on_an_old_reference():

@@ -60,8 +60,9 @@ def test_an_open_hand_shows_its_gels_before_it_closes():
     assert (state.phase, grasp.kind) == (Phase.GRASPING, "grasp")
 
 
-def test_the_gripper_s_width_and_since_when_the_arm_stands_go_with_the_messages_that_need_them():
-    still = Standstill(at_s=0.0, pose=APPROACH.at_height(28.0), still_s=0.15)
+@pytest.mark.parametrize(("stood_s", "stated_s"), [(0.15, 0.15), (2.5, 1.0)])
+def test_the_gripper_s_width_and_since_when_the_arm_stands_go_with_the_messages_that_need_them(stood_s, stated_s):
+    still = Standstill(at_s=0.0, pose=APPROACH.at_height(28.0), still_s=stood_s)
     _, commands = run([*TO_STOP, Width(at_s=0.0, width_mm=31.5), still])
     widths = {
         c.message.type: c.message.gripper_width_mm
@@ -69,7 +70,7 @@ def test_the_gripper_s_width_and_since_when_the_arm_stands_go_with_the_messages_
         if hasattr(c, "message") and hasattr(c.message, "gripper_width_mm")
     }
     assert widths == {"arm": 50.0, "stopped": 31.5}
-    assert next(c.message.still_s for c in commands if isinstance(c, Send) and c.message.type == "stopped") == 0.15
+    assert next(c.message.still_s for c in commands if isinstance(c, Send) and c.message.type == "stopped") == stated_s
 
 
 def test_what_keeps_full_depth_from_being_confirmed_is_the_reason_of_the_failure():

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_client.insertion.events import Standstill
+from robot_client.insertion.events import Standstill, Stood
 from robot_client.insertion.limits import LimitError
 from robot_client.insertion.state import REFUSED, Phase, State
 from robot_client.ports import DriverError
@@ -118,6 +118,15 @@ def test_a_press_in_which_the_arm_stood_for_want_of_a_frame_tells_nothing(judged
         watch.on_event(state, event)
     assert state.phase is Phase.DECIDING
     assert (watch.stop is not None) == kept
+
+
+def test_a_press_in_which_the_arm_stood_for_want_of_guidance_tells_nothing():
+    watch, state = StopWatch(), State(PLAN.model_copy(update={"purpose": "timing"}))
+    stood = Stood(at_s=0.03, stood_s=0.1)
+    for event in [*TO_DESCENT, stood, service(ENOUGH, 0.05), at(APPROACH.at_height(28.0), Standstill)]:
+        state, _ = run([event], state)
+        watch.on_event(state, event)
+    assert (state.phase, watch.stop) == (Phase.DECIDING, None)
 
 
 def test_a_slip_without_a_known_contact_is_no_press():

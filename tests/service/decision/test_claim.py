@@ -14,6 +14,7 @@ from service.decision.claim import BLIND_S, GraspRecord, doubts, newest_age_s, p
 from service.decision.seating import Push
 from service.perception.markers.field import field_from_gel
 from service.perception.observation import Observation, PairObservation
+from service.perception.pressing import Legs
 from service.perception.slip.detector import SlipDetector
 
 PERIOD_NS = 33_333_333
@@ -188,6 +189,10 @@ def test_a_way_is_that_of_the_leg_in_which_it_was_gone() -> None:
     legs = replace(whole, leg_ns=int(0.2e9), start_mm=2.0)
     assert slid_mm(legs) == pytest.approx(slid_mm(whole))
     assert pressed_mm(legs) == pytest.approx(pressed_mm(whole)) == pytest.approx(2.0)
+    paused = replace(whole, stopped_ns=int(0.9e9), onset_ns=int(0.7e9), legs=Legs())
+    paused.legs.add(0, 10.0)
+    paused.legs.pauses(int(0.3e9), 0.2)
+    assert pressed_mm(paused) == pytest.approx(2.0), "it stood for 0.2 s before it touched"
     for attempt in (replace(whole, speed_mm_s=0.1, stopped_ns=int(0.4e9)), replace(legs, speed_mm_s=16.1)):
         grasp = GraspRecord(50.0)
         grasp.blocked(attempt)

@@ -1,4 +1,4 @@
-"""The watch over a grasp is kept alive by the grasping state itself, not by other messages of the gripper."""
+"""The link to the gripper: the grasping state itself keeps the watch over a grasp alive, and every end is announced."""
 
 import asyncio
 
@@ -9,6 +9,7 @@ from robot_client.grippers.wsg50.codes import Command, GraspingState, Status
 from robot_client.grippers.wsg50.driver import Wsg50
 from robot_client.grippers.wsg50.settings import Settings
 from tests.robot_client.clock import stopped_clock
+from tests.robot_client.grippers.wsg50.test_driver import story
 
 
 @pytest.fixture
@@ -46,3 +47,19 @@ def test_the_state_is_looked_at_four_times_within_the_silence_that_is_allowed(cl
     with pytest.raises(asyncio.CancelledError):
         asyncio.run(gripper._watch())
     assert waits_s == [pytest.approx(0.2)] * 4
+
+
+def test_a_client_that_is_stopped_while_it_connects_says_that_it_leaves():
+    async def work(cell):
+        connecting = asyncio.create_task(cell.driver.connect())
+        while cell.emulator.connection is None:  # noqa: ASYNC110 the emulator announces nothing
+            await asyncio.sleep(0)
+        connecting.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await connecting
+        await cell.anew()
+        while cell.emulator.connection is not None:  # noqa: ASYNC110
+            await asyncio.sleep(0.001)
+        return cell
+
+    assert story(work).emulator.counters.fast_stops_by_disconnect == 0

@@ -153,6 +153,20 @@ def test_only_the_first_robot_or_the_configured_one_is_answered(robot_host):
     assert [address for _, address in arm._socket.answers] == [ROBOT]
 
 
+def test_the_last_datagrams_of_a_run_that_ended_do_not_hide_the_next_one():
+    """It counts from 0 again, on a clock and from a port of its own."""
+    arm, port = listening(), (ROBOT[0], 7000)
+    for number in range(5000, 5100):
+        ended = codec.RobotState(number, 4 * number, UPRIGHT, rapid_running=False)
+        arm._socket.waiting = [(codec.encode_robot(ended), ROBOT)]
+        arm._on_readable()
+    assert arm._socket.answers == []
+    for number in range(3):
+        arm._socket.waiting = [(datagram(number), port)]
+        arm._on_readable()
+    assert [address for _, address in arm._socket.answers] == [port] * 3
+
+
 def test_a_datagram_that_is_too_long_is_not_taken_for_its_own_beginning():
     """A field that nobody knows fills it up to a byte more than is allowed; cut anywhere, it would be a good one."""
     base = datagram(1)

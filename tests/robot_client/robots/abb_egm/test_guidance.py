@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from robot_client.insertion.events import Arrived, Failure, Standstill
+from robot_client.insertion.events import Arrived, Failure, Standstill, Stood
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.lease import PAUSE_S
 from robot_client.insertion.limits import LimitError, Limits
@@ -30,6 +30,10 @@ class Controller:
         self.arm._socket, self.arm._robot, self.arm._post = self.wire, ("127.0.0.1", 6510), self.events.append
         self.arm._timer = asyncio.get_running_loop().call_later(600.0, print)
         self.here, self.number, self.now_s, self.frame = HERE, 0, 0.0, CellFrame()
+
+    def loses(self, count):
+        self.number += count
+        self.now_s += count * CYCLE_MS / 1000.0
 
     def cycles(self, count, late_s=0.0, **state):
         for _ in range(count):
@@ -116,6 +120,29 @@ def test_a_descent_stands_when_its_lease_ends_goes_on_when_it_is_renewed_and_hol
         assert cell.arm.target() == frozen
         assert cell.arm.statistics()["pauses"] == 1
         cell.arm.move(HERE, "retract")
+
+    played(story)
+
+
+@pytest.mark.parametrize(("lost_n", "lasts_s"), [(1, 9.0), (8, 9.0), (40, 9.0), (55, 9.0), (40, 0.5)])
+def test_the_time_that_a_descent_loses_to_gaps_is_reported(lost_n, lasts_s):
+    """By as much as its target is behind, to a few hundredths of a second; also where its lease ended in the gap."""
+
+    def story(cell):
+        cell.cycles(1)
+        until_s = cell.now_s + lasts_s
+        cell.arm.move(HERE.at_height(40.0), "descend", until_s)
+        cell.cycles(100)
+        before_mm, since_s = cell.arm.target().z_mm, cell.now_s
+        cell.loses(lost_n)
+        cell.cycles(1)
+        paused_s = max(0.0, cell.now_s - until_s)
+        cell.arm.renew(cell.now_s + 9.0)
+        cell.cycles(50)
+        behind_s = cell.now_s - since_s - (before_mm - cell.arm.target().z_mm) / 5.0 - paused_s
+        assert sum(event.stood_s for event in cell.events) == pytest.approx(behind_s, abs=0.05)
+        assert bool(cell.events) == (behind_s > 0.05)
+        assert {type(event) for event in cell.events} <= {Stood}
 
     played(story)
 

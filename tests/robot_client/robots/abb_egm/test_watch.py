@@ -44,6 +44,17 @@ def test_a_stream_that_falls_behind_is_stale():
     assert w.statistics()["worst_age_ms"] == pytest.approx(300.0)
 
 
+def test_a_controller_that_was_long_not_ready_is_not_late_once_it_is():
+    w = watch()
+    for i in range(1000):
+        assert w.take(state(5000 + i, 4 * i, motors_on=False), 0.004 * i) is not None
+        assert not w.ready(state(5000 + i, 4 * i, motors_on=False))
+    for i in range(100):
+        assert w.take(state(i, 4 * i), 4.0 + 0.004 * i) is not None
+        assert w.ready(state(i, 4 * i))
+        w.check(state(i, 4 * i))
+
+
 def test_an_hour_of_clock_drift_is_not_lateness():
     w = watch()
     for i in range(3600):
