@@ -23,6 +23,9 @@ MODULE TactileMotion
         VAR string request;
         tactileStop := TRUE;
         tactileMoving := FALSE;
+        ! The program was stopped with both open if the PC ended its last session in a hurry.
+        SocketClose client;
+        SocketClose server;
         ConfL \Off;
         AccSet 30, 30;
         listen;

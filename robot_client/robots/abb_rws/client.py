@@ -102,7 +102,7 @@ class RwsClient:
         return await self._state("ctrlexecstate")
 
     async def start_program(self) -> None:
-        """Motors on and RAPID running; raises RwsError if the controller is not ready for it or does not follow."""
+        """Motors on and RAPID running from main; raises RwsError if the controller is not ready or does not follow."""
         status = await self.status()
         if status.operating_mode != "AUTO":
             raise RwsError(f"operating mode is {status.operating_mode}, expected AUTO; turn the key switch")
@@ -116,10 +116,11 @@ class RwsClient:
             raise RwsError(f"speed ratio is {status.speed_ratio} %{self._of_speed}; set it on the pendant")
         if status.execution == "running":
             raise RwsError("the RAPID program runs already; stop it, so that guidance starts from a known state")
+        # Continued where it was stopped, the program would first take a jogged arm back there.
+        await self._order("to_main", {})
         self.started = True  # from here on we have to stop the program, whatever the answer
         await self._order("start", {**_START, "cycle": self.settings.cycle})
-        pointer = "; look at the pendant: is the program pointer at main?"
-        await self._until("ctrlexecstate", "running", self.settings.start_timeout_s, pointer)
+        await self._until("ctrlexecstate", "running", self.settings.start_timeout_s, "; look at the pendant")
 
     async def stop_program(self) -> str:
         """Request a stop and poll until the controller reports it; never raises, returns in words how it ended."""
@@ -195,7 +196,7 @@ class RwsClient:
         self, method: str, path: str, query: Mapping[str, str] | None = None, form: Mapping[str, str] | None = None
     ) -> httpx.Response:
         generation = await self.generation()
-        headers = {**generation.headers, **(generation.form if form else {})}
+        headers = {**generation.headers, **({} if form is None else generation.form)}
         params = {**(query or {}), **generation.query}
         answer = await self._exchange(method, path, headers=headers, params=params, data=form, auth=self._auth)
         if answer.is_success:

@@ -13,7 +13,7 @@ import httpx
 from robot_client.ports import DriverError
 
 Resource = Literal["opmode", "ctrlstate", "speedratio", "ctrlexecstate", "lvalue"]
-Order = Literal["motors", "start", "stop", "signal"]
+Order = Literal["motors", "to_main", "start", "stop", "signal"]
 CHALLENGE = "www-authenticate"
 
 

@@ -40,6 +40,7 @@ RWS1 = Generation(
     },
     orders={
         "motors": ("/rw/panel/ctrlstate", {"action": "setctrlstate"}),
+        "to_main": (_EXECUTION, {"action": "resetpp"}),
         "start": (_EXECUTION, {"action": "start"}),
         "stop": (_EXECUTION, {"action": "stop"}),
         "signal": ("/rw/iosystem/signals/{name}", {"action": "set"}),

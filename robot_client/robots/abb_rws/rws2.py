@@ -43,7 +43,8 @@ RWS2 = Generation(
     },
     orders={
         "motors": ("/rw/panel/ctrl-state", {}),
-        "start": (f"{_EXECUTION}/start", {"mastership": "implicit"}),  # held for this request, then released
+        "to_main": (f"{_EXECUTION}/resetpp", {"mastership": "implicit"}),  # held for this request, then released
+        "start": (f"{_EXECUTION}/start", {"mastership": "implicit"}),
         "stop": (f"{_EXECUTION}/stop", {}),
         "signal": ("/rw/iosystem/signals/{name}/set-value", {}),
     },

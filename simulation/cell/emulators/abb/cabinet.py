@@ -58,6 +58,7 @@ class Cabinet:
     egm: EgmPhase = "off"
     speed_ratio: int = 100
     cycle: str = "forever"
+    at_main: bool = True  # the program pointer
     signals: dict[str, float] = field(
         default_factory=lambda: {"doSlipStop": 0.0, "diObjectFixed": 1.0, "aoClampForce": 0.0}
     )
@@ -104,6 +105,12 @@ class Cabinet:
             raise RefusedError("RAPID cannot be started remotely in manual mode")
         if not self.running:
             self._start_due_s = self._now_s + self.delays.program_start_s
+
+    def request_main(self) -> None:
+        """Move the program pointer to main; raise RefusedError while RAPID runs."""
+        if self.running:
+            raise RefusedError("the program pointer cannot be moved while RAPID runs")
+        self.at_main = True
 
     def request_stop(self) -> None:
         """Stop the RAPID program: the arm brakes at once; the state reads running until the arm is at rest."""
@@ -195,7 +202,8 @@ class Cabinet:
         self.arm.hold()
         self.arm.braking = True
         self._last_guide_s = now_s
-        self.note(1, 10150, "Program started")
+        self.note(1, *((10150, "Program started") if self.at_main else (10155, "Program restarted")))
+        self.at_main = False
 
     def _end_program(self) -> None:
         self.arm.braking = True

@@ -202,8 +202,8 @@ def execute(cabinet: Cabinet, action: str, form: dict[str, str]) -> None:
         if form.get("stopmode", "stop") not in ("cycle", "instr", "stop", "qstop"):
             raise ValueError(f"stopmode {form['stopmode']!r}, expected cycle, instr, stop or qstop")
         cabinet.request_stop()
-    elif cabinet.running:
-        raise RefusedError("the program pointer cannot be moved while RAPID runs")
+    else:
+        cabinet.request_main()
 
 
 def _add_execution(app: FastAPI, cabinet: Cabinet) -> None:

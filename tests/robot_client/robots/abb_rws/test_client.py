@@ -38,7 +38,8 @@ def start_of(panel):
     def answer(request):
         if request.method == "POST":
             posted.append(request.url.params["action"])
-            state.update({"ctrlexecstate": "running"} if posted[-1] == "start" else {"ctrlstate": "motoron"})
+            done = {"start": {"ctrlexecstate": "running"}, "setctrlstate": {"ctrlstate": "motoron"}}
+            state.update(done.get(posted[-1], {}))
         return httpx.Response(200, json={"_embedded": {"_state": [{**state, "speedratio": "100"}]}})
 
     async def story():
@@ -58,7 +59,7 @@ def start_of(panel):
 
 
 def test_a_fit_controller_runs_the_program_which_is_then_ours_to_stop():
-    assert start_of({}) == ("", ["start"], True)
+    assert start_of({}) == ("", ["resetpp", "start"], True)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +171,7 @@ def test_a_controller_that_does_not_follow_an_order_is_given_up_once_its_time_is
     reason = asked(RwsClient.start_program, state, **timeouts)
     assert reason.startswith(f"{key} is ")
     assert "after 0.05 s, expected" in reason
-    assert ("is the program pointer at main?" in reason) == (key == "ctrlexecstate")
+    assert ("look at the pendant" in reason) == (key == "ctrlexecstate")
     assert time.monotonic() - begun_s >= 0.05
 
 

@@ -68,6 +68,19 @@ def test_the_controller_is_asked_and_its_program_started_and_stopped(omnicore):
     assert stopped == "controller confirms: program stopped"
 
 
+def test_every_start_is_from_main_and_continues_no_stopped_motion(omnicore):
+    async def work(rws, cell):
+        async def call(client):
+            for _ in range(2):
+                await client.start_program()
+                await client.stop_program()
+            return [entry.title for entry in cell.cabinet.log if entry.title.startswith("Program")]
+
+        return await closed(RwsClient(rws), call)
+
+    assert story_of(work, omnicore=omnicore) == 2 * ["Program started", "Program stopped"]
+
+
 def test_signals_are_read_and_switched_with_either_generation(omnicore):
     async def work(rws, _cell):
         async def call(client):
