@@ -89,6 +89,20 @@ def test_another_object_is_tried_where_the_first_goes_in(worlds, tmp_path, monke
     assert rows["swapped"]["reasons"] == {f"commissioning: contradictory: {SWAPPED}": 2}
 
 
+@pytest.mark.parametrize(("gap_mm", "refused"), [(64.0, 2), (90.0, 0)])
+def test_blocks_too_low_to_be_felt_are_named_unless_the_gap_is_that_wide(
+    gap_mm, refused, worlds, tmp_path, monkeypatch
+):
+    """With tops as low as the probes go, full depth is reached above them, and would be claimed."""
+    monkeypatch.setattr(campaign, "play", lambda task: {**as_wired(task), "trials": []})
+    box = tmp_path / "box.toml"
+    box.write_text(f'[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 90.0\n[blocks]\ngap_mm = {gap_mm}\n')
+    models = tiny_models.write_models(tmp_path / "models")
+    row = evaluated(worlds[:1], models, tmp_path / "rows.json", "--objects", str(box))["good"]
+    assert row["refused"] == refused
+    assert any("nothing was felt 8 mm beside the gap" in reason for reason in row["reasons"]) == bool(refused)
+
+
 def test_a_sensor_that_the_networks_do_not_read_is_named_before_anything_is_played(tmp_path, monkeypatch):
     monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played"))
     (tmp_path / "mini.toml").write_text('[camera]\nsensor = "gelsight_mini"\n')
