@@ -88,6 +88,12 @@ class Options(Played):
     json: Path = Path("runs/evaluation.json")
     """file for the rows"""
 
+    def check(self) -> None:
+        """Raise ValueError as for all that is played, and for a folder in place of the file."""
+        super().check()
+        if self.json.is_dir():
+            raise ValueError(f"--json {self.json}: is a folder; expected a file for the rows")
+
 
 def main(arguments: list[str]) -> int:
     """Play, write the rows and print a line for each; 0 even if insertions failed: the rows say so."""

@@ -111,6 +111,13 @@ def test_a_sensor_that_the_networks_do_not_read_is_named_before_anything_is_play
         evaluated([str(tmp_path / "mini.toml")], models, tmp_path / "rows.json", "--objects", "circle")
 
 
+def test_a_folder_in_place_of_the_file_for_rows_is_refused_before_anything_is_played(worlds, tmp_path, monkeypatch):
+    monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played"))
+    models = tiny_models.write_models(tmp_path / "models")
+    with pytest.raises(ValueError, match=r"is a folder; expected a file for the rows"):
+        evaluated(worlds, models, tmp_path, "--objects", "circle")
+
+
 def test_rows_of_an_object_that_was_edited_since_are_played_again(worlds, tmp_path, monkeypatch):
     played = list[float]()
 
