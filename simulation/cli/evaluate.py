@@ -16,7 +16,7 @@ from simulation.closed_loop.job import Job, Outcome, Perception, Who
 from simulation.closed_loop.statistics import Row, title_of
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import World, files_in, load_objects, load_world, object_names
-from simulation.studies.wiring import by_corner, felt_nothing, named_wirings, probes, touched
+from simulation.studies.wiring import by_corner, felt_nothing, hung_turned, named_wirings, probes, touched
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,8 @@ def _played(options: Options, todo: Sequence[Task]) -> list[Row]:
 def _miswired(options: Options, made_by: str, log: Path) -> dict[str, str]:
     """Mistake of each world that has one, found with the first object whose four probes touched something.
 
-    Where none did, and one of them cannot go in from there, the blocks are not where they were taught.
+    Where none did, one that cannot go in from there, or that was turned before it went down, tells that the blocks are
+    not where they were taught.
     """
     worlds, objects = _what(options)
     named, unfelt, left = dict[str, str](), dict[str, str](), list(worlds)
@@ -167,7 +168,7 @@ def _miswired(options: Options, made_by: str, log: Path) -> dict[str, str]:
         for world, four in zip(left, answers, strict=True):
             if causes := named_wirings(four):
                 named[world.name] = "; ".join(causes)
-            if causes := felt_nothing(four, objects[name]):
+            if causes := felt_nothing(four, objects[name]) or hung_turned(four):
                 unfelt[world.name] = "; ".join(causes)
         left = [world for world, four in zip(left, answers, strict=True) if not touched(four)]
         if not left:

@@ -63,6 +63,13 @@ def felt_nothing(rows: Sequence[Row], scene: Scene) -> list[str]:
     return named_mistakes(rows)
 
 
+def hung_turned(rows: Sequence[Row]) -> list[str]:
+    """The mistake of a cell in which the object hung turned in the hand before each of these descents."""
+    if not all("turned_in_hand" in row["reason"] and not row["trials"] for row in rows):
+        return []
+    return ["the object hung turned before each descent: are the block tops higher than taught, or is it too heavy?"]
+
+
 def _goes_in(scene: Scene) -> bool:
     return any(scene.fits(*side) for side in SIDES)
 

@@ -103,6 +103,22 @@ def test_blocks_too_low_to_be_felt_are_named_unless_the_gap_is_that_wide(
     assert any("nothing was felt 8 mm beside the gap" in reason for reason in row["reasons"]) == bool(refused)
 
 
+def test_blocks_that_the_object_is_set_down_on_are_named(worlds, tmp_path, monkeypatch):
+    """Pushed through the hand by both blocks at once, it moves no marker on the way down, and would be claimed."""
+    turned = {"reason": "service: refused: turned_in_hand: it hangs turned by 1.5 deg or more", "trials": []}
+
+    def play(task: campaign.Task) -> Row:
+        answer = as_wired(task)
+        high = task.job["scene"] == "rectangle" or task.job["unstated"].get("swapped_fingers")
+        return {**answer, **turned} if high and task.job.get("purpose") == "probe" else answer
+
+    monkeypatch.setattr(campaign, "play", play)
+    models = tiny_models.write_models(tmp_path / "models")
+    rows = evaluated(worlds, models, tmp_path / "rows.json", "--objects", "rectangle", "circle")
+    assert any("tops higher than taught" in reason for reason in rows["swapped"]["reasons"])
+    assert rows["good"]["inserted"] == 2  # another object was held and felt the blocks
+
+
 def test_a_sensor_that_the_networks_do_not_read_is_named_before_anything_is_played(tmp_path, monkeypatch):
     monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played"))
     (tmp_path / "mini.toml").write_text('[camera]\nsensor = "gelsight_mini"\n')
