@@ -106,10 +106,7 @@ def _cell(options: Options, world: World, made_by: str) -> Cell:
     objects, refused = dict[str, Scene](), list[str]()
     for name, scene in load_objects(options.objects).items():
         try:
-            joined = world.around(scene)
-            if options.cell == "foreign":
-                _check_foreign(joined)
-            objects[name] = joined
+            objects[name] = world.around(scene)
         except SceneError as error:
             refused.append(str(error))
     if not objects:
@@ -117,12 +114,6 @@ def _cell(options: Options, world: World, made_by: str) -> Cell:
     for line in refused:
         print(f"left out: {line}", file=sys.stderr)
     return Cell(world, objects, folder, options.seed, "" if options.cell == "own" else options.cell)
-
-
-def _check_foreign(scene: Scene) -> None:
-    from simulation.foreign.cell import pad_of  # imports scipy and scikit-fem
-
-    pad_of(scene)
 
 
 @dataclass(frozen=True)

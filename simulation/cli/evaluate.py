@@ -16,7 +16,7 @@ from simulation.closed_loop.job import Job, Outcome, Perception, Who
 from simulation.closed_loop.statistics import Row, title_of
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import World, files_in, load_objects, load_world, object_names
-from simulation.studies.wiring import by_corner, named_wirings, probes, touched
+from simulation.studies.wiring import by_corner, felt_nothing, hung_turned, named_wirings, probes, touched
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,12 @@ class Options(Played):
     json: Path = Path("runs/evaluation.json")
     """file for the rows"""
 
+    def check(self) -> None:
+        """Raise ValueError as for all that is played, and for a folder in place of the file."""
+        super().check()
+        if self.json.is_dir():
+            raise ValueError(f"--json {self.json}: is a folder; expected a file for the rows")
+
 
 def main(arguments: list[str]) -> int:
     """Play, write the rows and print a line for each; 0 even if insertions failed: the rows say so."""
@@ -147,23 +153,27 @@ def _played(options: Options, todo: Sequence[Task]) -> list[Row]:
 
 
 def _miswired(options: Options, made_by: str, log: Path) -> dict[str, str]:
-    """Mistake of each world that has one, found with the first object whose four probes touched something."""
+    """Mistake of each world that has one, found with the first object whose four probes touched something.
+
+    Where none did, one that cannot go in from there, or that was turned before it went down, tells that the blocks are
+    not where they were taught.
+    """
     worlds, objects = _what(options)
-    named, left = dict[str, str](), list(worlds)
+    named, unfelt, left = dict[str, str](), dict[str, str](), list(worlds)
     for name in by_corner(objects):
         jobs = [probes(world, name, options.seed, **_how(options)) for world in left]
         todo = [Task(options.models, job, made_by) for four in jobs for job in four]
         rows = iter(campaign.run(todo, log, workers=options.workers, ray=options.ray, title="probes of the wiring"))
         answers = [[next(rows) for _ in four] for four in jobs]
-        named |= {
-            world.name: "; ".join(causes)
-            for world, four in zip(left, answers, strict=True)
-            if (causes := named_wirings(four))
-        }
+        for world, four in zip(left, answers, strict=True):
+            if causes := named_wirings(four):
+                named[world.name] = "; ".join(causes)
+            if causes := felt_nothing(four, objects[name]) or hung_turned(four):
+                unfelt[world.name] = "; ".join(causes)
         left = [world for world, four in zip(left, answers, strict=True) if not touched(four)]
         if not left:
             break
-    return named
+    return {world.name: unfelt[world.name] for world in left if world.name in unfelt} | named
 
 
 def _refused(task: Task, cause: str) -> Row:

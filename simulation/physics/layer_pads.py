@@ -79,7 +79,8 @@ class LayerPads:
     def __init__(self, scene: Scene, active: Active, kernel: Kernel | None, nodes: Records, constants: Records) -> None:
         gel, grasp = scene.gel, scene.grasp
         self.rounds, self.unsettled, self._settle_mm = 0, False, scene.numerics.settle_mm
-        self._relaxation = Relaxation(gel.relaxation_share, gel.relaxation_s) if active.relaxation else None
+        creeps = active.relaxation and gel.relaxation_share > 0.0
+        self._relaxation = Relaxation(gel.relaxation_share, gel.relaxation_s) if creeps else None
         bends = active.finger_compliance and grasp.finger_stiffness_n_per_mm > 0.0
         self._bend = 1.0 / grasp.finger_stiffness_n_per_mm if bends else 0.0  # mm/N
         self._shape = (2, gel.node_rows, gel.node_columns)

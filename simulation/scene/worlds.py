@@ -91,8 +91,10 @@ def world_of(tables: Mapping[str, Any], path: Path) -> World:
     unstated = Unstated()
     for table, values in tables.items():
         model = WORLD_TABLES.get(table)
-        if model is None or not isinstance(values, dict):
+        if model is None:
             raise SceneError(f"{path}: {table}: unknown table{nearest(table, WORLD_TABLES)}")
+        if not isinstance(values, dict):
+            raise SceneError(f"{path}: {table}: expected a table of keys (given: {values!r})")
         part = _checked(path, table, model, values)
         if isinstance(part, Unstated):
             unstated = part

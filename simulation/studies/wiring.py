@@ -26,7 +26,7 @@ def by_corner(objects: Mapping[str, Scene]) -> list[str]:
     def place(name: str) -> tuple[bool, float]:
         scene = objects[name]
         straight_mm, turned_mm = (half_width_mm(scene.object.footprint_mm, deg) for deg in (0.0, SIDES[0][1]))
-        return not any(scene.fits(*side) for side in SIDES), straight_mm * (turned_mm - straight_mm)
+        return not _goes_in(scene), straight_mm * (turned_mm - straight_mm)
 
     return sorted(objects, key=place, reverse=True)
 
@@ -54,6 +54,24 @@ def carried_out(rows: Sequence[Row]) -> bool:
 def touched(rows: Sequence[Row]) -> bool:
     """Whether these probes were carried out and felt a block: an object that goes in tells nothing of the wiring."""
     return carried_out(rows) and any(row["trials"] for row in rows)
+
+
+def felt_nothing(rows: Sequence[Row], scene: Scene) -> list[str]:
+    """The mistake of a cell in which these probes felt no block at errors from which the object cannot go in."""
+    if touched(rows) or not carried_out(rows) or _goes_in(scene):
+        return []
+    return named_mistakes(rows)
+
+
+def hung_turned(rows: Sequence[Row]) -> list[str]:
+    """The mistake of a cell in which the object hung turned in the hand before each of these descents."""
+    if not all("turned_in_hand" in row["reason"] and not row["trials"] for row in rows):
+        return []
+    return ["the object hung turned before each descent: are the block tops higher than taught, or is it too heavy?"]
+
+
+def _goes_in(scene: Scene) -> bool:
+    return any(scene.fits(*side) for side in SIDES)
 
 
 def named_mistakes(rows: Sequence[Row]) -> list[str]:

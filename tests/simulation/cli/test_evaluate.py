@@ -89,12 +89,49 @@ def test_another_object_is_tried_where_the_first_goes_in(worlds, tmp_path, monke
     assert rows["swapped"]["reasons"] == {f"commissioning: contradictory: {SWAPPED}": 2}
 
 
+@pytest.mark.parametrize(("gap_mm", "refused"), [(64.0, 2), (90.0, 0)])
+def test_blocks_too_low_to_be_felt_are_named_unless_the_gap_is_that_wide(
+    gap_mm, refused, worlds, tmp_path, monkeypatch
+):
+    """With tops as low as the probes go, full depth is reached above them, and would be claimed."""
+    monkeypatch.setattr(campaign, "play", lambda task: {**as_wired(task), "trials": []})
+    box = tmp_path / "box.toml"
+    box.write_text(f'[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 90.0\n[blocks]\ngap_mm = {gap_mm}\n')
+    models = tiny_models.write_models(tmp_path / "models")
+    row = evaluated(worlds[:1], models, tmp_path / "rows.json", "--objects", str(box))["good"]
+    assert row["refused"] == refused
+    assert any("nothing was felt 8 mm beside the gap" in reason for reason in row["reasons"]) == bool(refused)
+
+
+def test_blocks_that_the_object_is_set_down_on_are_named(worlds, tmp_path, monkeypatch):
+    """Pushed through the hand by both blocks at once, it moves no marker on the way down, and would be claimed."""
+    turned = {"reason": "service: refused: turned_in_hand: it hangs turned by 1.5 deg or more", "trials": []}
+
+    def play(task: campaign.Task) -> Row:
+        answer = as_wired(task)
+        high = task.job["scene"] == "rectangle" or task.job["unstated"].get("swapped_fingers")
+        return {**answer, **turned} if high and task.job.get("purpose") == "probe" else answer
+
+    monkeypatch.setattr(campaign, "play", play)
+    models = tiny_models.write_models(tmp_path / "models")
+    rows = evaluated(worlds, models, tmp_path / "rows.json", "--objects", "rectangle", "circle")
+    assert any("tops higher than taught" in reason for reason in rows["swapped"]["reasons"])
+    assert rows["good"]["inserted"] == 2  # another object was held and felt the blocks
+
+
 def test_a_sensor_that_the_networks_do_not_read_is_named_before_anything_is_played(tmp_path, monkeypatch):
     monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played"))
     (tmp_path / "mini.toml").write_text('[camera]\nsensor = "gelsight_mini"\n')
     models = tiny_models.write_models(tmp_path / "models")
     with pytest.raises(ValueError, match="world mini, object circle: pictures of the sensor gelsight_mini are 320 x"):
         evaluated([str(tmp_path / "mini.toml")], models, tmp_path / "rows.json", "--objects", "circle")
+
+
+def test_a_folder_in_place_of_the_file_for_rows_is_refused_before_anything_is_played(worlds, tmp_path, monkeypatch):
+    monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played"))
+    models = tiny_models.write_models(tmp_path / "models")
+    with pytest.raises(ValueError, match=r"is a folder; expected a file for the rows"):
+        evaluated(worlds, models, tmp_path, "--objects", "circle")
 
 
 def test_rows_of_an_object_that_was_edited_since_are_played_again(worlds, tmp_path, monkeypatch):

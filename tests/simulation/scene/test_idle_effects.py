@@ -36,6 +36,13 @@ def test_physics_that_is_on_with_nothing_to_do_is_off_bit_for_bit(key: str) -> N
         np.testing.assert_array_equal(getattr(on, name), getattr(off, name))
 
 
+def test_a_coupled_gel_that_relaxes_by_nothing_is_elastic_bit_for_bit() -> None:
+    scene = load_scene("rectangle", gel__tier="layer", gel__node_rows=8, gel__node_columns=8)
+    on, off = (run_probe(scene.varied({"effects.relaxation": switch}), *ACROSS, seed=1) for switch in ("on", "off"))
+    for name in FRAMES + FORCES:
+        np.testing.assert_array_equal(getattr(on, name), getattr(off, name))
+
+
 def test_friction_at_edges_that_are_not_met_is_off_bit_for_bit() -> None:
     scene = load_scene("rectangle", **CLEAN)
     on, off = (run_probe(scene.varied({"effects.edge_friction": switch}), *AHEAD, seed=1) for switch in ("on", "off"))

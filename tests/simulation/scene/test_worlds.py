@@ -74,7 +74,7 @@ def test_gap_and_start_follow_from_the_width_where_the_file_leaves_them_out(tmp_
     ("text", "named"),
     [
         ("[gell]\n", "gell: unknown table; did you mean 'gel'?"),
-        ("gel = 1\n", "gel: unknown table"),
+        ("gel = 1\n", "gel: expected a table of keys (given: 1)"),
         ("[gel]\nfricton = 0.5\n", "gel.fricton: unknown key; did you mean 'friction'? (given: 0.5)"),
         ("[gel]\nfriction = 5.0\n", "gel.friction: expected a number >= 0.0 and <= 2.0 (given: 5.0)"),
         ("[camera]\nfps = 5\n", "camera.fps: expected a number >= 10 and <= 120"),

@@ -1,0 +1,15 @@
+"""`explain` measures what an effect costs where it has work to do."""
+
+import numpy as np
+
+from reporting.machine import best_cpu_ms
+from simulation.cli.explain import frame_ms
+from simulation.optics.appearance import Appearance
+from simulation.optics.renderer import Renderer
+from simulation.scene.worlds import load_scene
+
+
+def test_a_frame_is_timed_with_the_gel_in_motion() -> None:
+    scene = load_scene("circle")
+    renderer, still = Renderer(Appearance.draw(scene, "left", 0)), np.full((20, 21, 3), 0.04, np.float32)
+    assert frame_ms(scene) > 2.0 * best_cpu_ms(lambda: renderer.raw(still, 1), 10)
