@@ -58,7 +58,8 @@ class Scene(Part):
             raise ValueError(f"object.{held[0]}: expected with held_shape, as a polygon is held by its own edges")
         corners = self.object.vertices_mm
         if corners and not shapes.is_convex(corners):
-            raise ValueError("object.vertices_mm: expected corners of a convex polygon, counter-clockwise")
+            expected = "corners of a convex polygon, counter-clockwise, each once and none of 180 deg"
+            raise ValueError(f"object.vertices_mm: expected {expected}")
         if corners:
             shapes.rounded(corners, self.object.corner_radius_mm)
         return self
