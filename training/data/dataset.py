@@ -192,6 +192,11 @@ def _check(table: dict[str, NDArray[Any]]) -> None:
         if not np.isfinite(table[name]).all():
             bad = int(np.flatnonzero(~np.isfinite(table[name].reshape(len(table[name]), -1)).all(1))[0])
             raise ContractError(f"trial {int(table['index'][bad])}: {name} is not finite")
+    refuse_split_groups(table)
+
+
+def refuse_split_groups(table: dict[str, NDArray[Any]]) -> None:
+    """Raise ContractError if a re-fixture group is in two splits: figures would be on trials like those trained on."""
     homes: dict[str, int] = {}
     for group, split in zip(table["groups"].tolist(), table["split"].tolist(), strict=True):
         if homes.setdefault(group, split) != split:

@@ -7,7 +7,7 @@ from multiprocessing import get_context
 import numpy as np
 import pytest
 
-from service.contract import Sensor
+from service.contract import ContractError, Sensor
 from service.perception.pressing import lattice_weights, on_lattice
 from simulation.cli.dataset import export_dataset
 from simulation.data import drawn_cells
@@ -71,6 +71,23 @@ def test_two_processes_may_fill_the_same_cache_at_once(pressed_source, config, t
     assert len(list(tmp_path.rglob("*.npz"))) == 1
 
 
+@pytest.mark.parametrize(
+    ("damage", "named"),
+    [
+        ({"split": "test"}, "re-fixture group rectangle/0"),
+        ({"gel": np.full((30, 2, 20, 21, 3), np.nan)}, "trial 1: gel is not finite"),
+        ({"depth_mm": np.full(30, np.nan)}, "trial 1: depth_mm is not finite"),
+    ],
+    ids=["a group in two splits", "a gel of NaN", "depths of NaN"],
+)
+def test_presses_that_would_spoil_a_network_or_its_figures_are_refused(config, tmp_path, damage, named):
+    source = down(10)
+    for name, value in damage.items():
+        setattr(source.trials[1], name, value)
+    with pytest.raises(ContractError, match=named):
+        load_pressed(config.data.model_copy(update={"cache": str(tmp_path)}), source)
+
+
 def test_a_trial_that_states_no_speed_is_read_as_one_of_its_scene(pressed_source):
     stated, silent = copy(pressed_source.trials[0]), copy(pressed_source.trials[0])
     stated.speed_mm_s, silent.speed_mm_s = 10.0, 0.0
@@ -126,7 +143,13 @@ def test_a_run_states_how_it_reads_and_what_it_was_trained_on(pressed_source, co
 def test_a_network_is_trained_on_a_lerobot_export_as_on_the_shards_it_is_of(tmp_path, config):
     trials = [
         made_up_trial(
-            k, gel=made_up_trial(k).gel * np.float16(3), onset_frame=8, drawn="{}", speed_mm_s=10.0, grip_n=20.0
+            k,
+            gel=made_up_trial(k).gel * np.float16(3),
+            group=k,
+            onset_frame=8,
+            drawn="{}",
+            speed_mm_s=10.0,
+            grip_n=20.0,
         )
         for k in range(6)
     ]
