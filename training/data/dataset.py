@@ -203,6 +203,13 @@ def refuse_split_groups(table: dict[str, NDArray[Any]]) -> None:
             raise ContractError(f"re-fixture group {group} is in {SPLITS[split]} and {SPLITS[homes[group]]}")
 
 
+def refuse_empty_splits(split: NDArray[np.int64]) -> None:
+    """Raise ContractError unless there are collisions to train on and to validate with."""
+    for name in ("train", "validation"):
+        if not (split == SPLITS.index(name)).any():
+            raise ContractError(f"the dataset has no collisions in its {name} split")
+
+
 def write_table(path: Path, table: dict[str, NDArray[Any]]) -> None:
     """Write the file whole or not at all, also where another process writes the same one."""
     temporary = path.with_suffix(f".{os.getpid()}.tmp.npz")

@@ -178,7 +178,7 @@ def table_of(source: Source, chosen: Sequence[int], views: int, fps: float | Non
             f"none of the {len(chosen)} trials is a collision; expected outcome 'blocked' with an onset"
         )
     kinds = {"split": np.int64, "length": np.int64, "objects": np.str_, "groups": np.str_, "fields": np.float16}
-    table = {name: np.array(values, kinds.get(name, np.float32)) for name, values in rows.items()}
+    table: dict[str, Any] = {name: np.array(values, kinds.get(name, np.float32)) for name, values in rows.items()}
     refuse_split_groups(table)
     return table
 
