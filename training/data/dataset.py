@@ -213,8 +213,11 @@ def refuse_empty_splits(split: NDArray[np.int64]) -> None:
 def write_table(path: Path, table: dict[str, NDArray[Any]]) -> None:
     """Write the file whole or not at all, also where another process writes the same one."""
     temporary = path.with_suffix(f".{os.getpid()}.tmp.npz")
-    np.savez(temporary, **table)  # type: ignore[arg-type]
-    temporary.replace(path)
+    try:
+        np.savez(temporary, **table)  # type: ignore[arg-type]
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)  # or each further try would fill the disk a little more
 
 
 def _load_pictures(
