@@ -116,7 +116,8 @@ def shown(frames: NDArray[np.uint8], sensor: Sensor, reads: Reads) -> NDArray[An
 def load_trials(config: DataConfig, source: Source | None = None, reads: Reads = "pictures") -> Trials:
     """Read labels and fields, and draw the configured pictures, from the cache where it holds them.
 
-    Raises ContractError on non-finite labels, on trials without their window, and on groups spread over splits.
+    Raises ContractError on non-finite labels, on trials without their window or of drawn cells, and on groups spread
+    over splits.
     """
     source = open_source(config.path) if source is None else source
     digest = data_sha256(source)
@@ -164,6 +165,9 @@ def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[An
         trial = source.trial(index)
         if trial.outcome != "blocked" or trial.onset_frame is None or trial.onset_frame < 0:
             continue
+        if getattr(trial, "drawn", ""):
+            what = "the frames of a drawn cell are equal steps of depth, not of time"
+            raise ContractError(f"trial {index}: {what}; expected network.kind = 'pressing', or named objects")
         start = _window_start(trial, index)
         rows["key"].append(_key(trial))
         rows["index"].append(index)
