@@ -6,6 +6,7 @@ from multiprocessing import get_context
 
 import numpy as np
 import pytest
+import torch
 
 from service.contract import ContractError, Sensor
 from service.perception.pressing import lattice_weights, on_lattice
@@ -16,9 +17,11 @@ from tests.simulation.strategies import made_up_dataset, made_up_trial
 from tests.training.synthetic import SyntheticSource
 from training.data import descents
 from training.data.descents import Reader
+from training.data.labels import CLASSES
 from training.data.pressed import load_pressed
 from training.data.reading import decisions
 from training.fit.train import train
+from training.networks import build
 from training.networks.pressing import DECISION_STEPS, LATTICE, STEPS
 from training.networks.settings import NetworkConfig
 
@@ -138,6 +141,16 @@ def test_a_run_states_how_it_reads_and_what_it_was_trained_on(pressed_source, co
     speed = checkpoint.pressing.trained["speed_mm_s"]
     assert 11.0 < speed.low <= speed.high < 13.0
     assert checkpoint.figures["validation/all"]["trials"] > 0
+
+
+def test_training_moves_every_weight_but_those_that_are_fixed(pressed_source, config):
+    run = config.model_copy(update={"network": SMALL})
+    weights = train(run, pressed_source).weights
+    torch.manual_seed(run.seed)
+    begun = build(SMALL, len(CLASSES), pressed_source.manifest.sensor)
+    kept = [name for name, value in begun.named_parameters() if torch.equal(value, weights[name])]
+    assert kept == ["shares.weight", "shares.bias"]
+    assert not any(begun.get_parameter(name).requires_grad for name in kept)
 
 
 def test_a_network_is_trained_on_a_lerobot_export_as_on_the_shards_it_is_of(tmp_path, config):
