@@ -165,9 +165,9 @@ def test_a_run_does_not_go_on_from_a_file_cut_short(config, source):
     assert cut.read_bytes().endswith(b"full")
 
 
-def test_the_verdict_of_an_adaptation_is_written_into_a_new_folder(tmp_path):
+def test_the_comparison_of_an_adaptation_is_written_into_a_new_folder(tmp_path):
     """The fit takes minutes, and an accepted network must not end as invalid input."""
-    verdict = tmp_path / "new" / "verdict.json"
+    compared = tmp_path / "new" / "compared.json"
     words = ["adapt", recorded(tmp_path / "few", 7), "--from", "models/pressing/checkpoint.pt"]
-    assert main([*map(str, words), "--out", str(tmp_path / "out"), "--json", str(verdict)]) == 3
-    assert json.loads(verdict.read_text())["accepted"] is False
+    assert main([*map(str, words), "--out", str(tmp_path / "out"), "--json", str(compared)]) == 3
+    assert json.loads(compared.read_text())["accepted"] is False
