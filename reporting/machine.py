@@ -25,15 +25,25 @@ def machine() -> dict[str, Any]:
 
 
 def commit() -> str:
-    """Commit of the working tree, with ``+dirty`` if it has changes; ``unknown`` outside a repository."""
+    """Commit of this code, with ``+dirty`` if its files have changed; ``unknown`` for an installed package.
+
+    The folder that a command is run in may be someone else's repository, and an environment may lie in one.
+    """
+    asked = (
+        ("ls-files", "--error-unmatch", Path(__file__).name),
+        ("rev-parse", "HEAD"),
+        ("status", "--porcelain", "--untracked-files=no"),
+    )
     try:
-        head, changes = (
-            subprocess.run(["git", *words], capture_output=True, text=True, check=True).stdout.strip()
-            for words in (["rev-parse", "HEAD"], ["status", "--porcelain", "--untracked-files=no"])
+        _, head, changes = (
+            subprocess.run(
+                ["git", *words], cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+            ).stdout
+            for words in asked
         )
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-    return head + ("+dirty" if changes else "")
+    return head.strip() + ("+dirty" if changes.strip() else "")
 
 
 def best_cpu_ms(call: Callable[[], Any], repeats: int) -> float:

@@ -65,12 +65,13 @@ def measure(model: Model, seconds: float) -> Row:
 def precisions(folder: Path, out: Path, decisions: Sequence[Decision], seconds: float) -> list[Row]:
     """One row per storage format of the weights: all step models of a folder together, as in the service.
 
-    A refused build has its reason instead of figures. Raises ContractError for networks that read steps of depth, which
-    no decision here holds.
+    A refused build has its reason instead of figures. Raises ContractError for networks that give no command together,
+    or that read steps of depth, which no decision here holds.
     """
     sources = [open_model(file) for file in sorted(folder.glob("*.step.onnx"))]
-    if not sources or any(model.card.pressing for model in sources):
-        raise ContractError(f"--int8 {folder}: expected step networks that read pictures or markers")
+    roles = sorted(model.card.role for model in sources)
+    if roles not in (["pair"], ["direction", "magnitude"]) or any(model.card.pressing for model in sources):
+        raise ContractError(f"--int8 {folder}: expected step networks of direction and magnitude, and not of depth")
     sets, refused = {"fp32": sources}, {}
     for mode in MODES:
         try:

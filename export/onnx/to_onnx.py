@@ -46,7 +46,9 @@ OUTPUTS: dict[Role, list[str]] = {
 
 
 def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list[Path]:
-    """Write ``<role>.<form>.onnx`` of every role and form, or of those in ``only``; ContractError if any parity fails.
+    """Write ``<role>.<form>.onnx`` of every role and form, or of those in ``only``.
+
+    Raises ContractError if any parity fails, or where a service would not load these beside the step models in ``out``.
 
     The two networks go to ``out``, the joint density to ``out/joint``, and both networks in one step graph to
     ``out/pair`` (for networks that read depth, to ``out`` itself): a service loads one folder and decides with it.
@@ -54,6 +56,8 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
     """
     checkpoint = Checkpoint.load(path)
     network = checkpoint.build()
+    beside = ("joint",) if checkpoint.pressing else ("joint", "pair")
+    _refuse_strangers(out, {f"{role}.step.onnx" for role in network.roles if role not in beside})
     out.mkdir(parents=True, exist_ok=True)
     written = []
     with tempfile.TemporaryDirectory(dir=out) as scratch:
@@ -65,8 +69,14 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
                 _export(network.of(role), checkpoint, role, form, file)
                 written.append(file)
         verify_forms([open_model(file) for file in written])
-        beside = ("joint",) if checkpoint.pressing else ("joint", "pair")
         return [file.replace(_home(out, file.name, beside)) for file in written]
+
+
+def _refuse_strangers(out: Path, own: set[str]) -> None:
+    strangers = sorted({file.name for file in out.glob("*.step.onnx")} - own)
+    if strangers:
+        names = f"{', '.join(sorted(own))} beside {', '.join(strangers)}"
+        raise ContractError(f"{out}: a service loads no {names}; expected another --out")
 
 
 def why_untrained(checkpoint: Checkpoint) -> str:

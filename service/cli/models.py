@@ -46,15 +46,24 @@ def _trained(card: ModelCard) -> str:
     return f"{figures} ({'recordings of its cell' if card.training_run.get('adapted') else 'simulated'})"
 
 
+def _input(card: ModelCard) -> str:
+    """What a decision is made of: pairs of pictures, fields of markers, or steps of depth."""
+    if card.pressing:
+        lattice = card.pressing.lattice
+        return f"steps of {card.pressing.step_mm:g} mm on {lattice.rows} x {lattice.columns} points"
+    if card.markers:
+        return f"fields of {card.markers.rows} x {card.markers.columns} markers, of both fingers"
+    return f"frame pairs, {card.frame.width_px} x {card.frame.height_px} {card.frame.colour}"
+
+
 def describe(model: LoadedModel, *, decides: bool) -> list[str]:
     """A few lines about one file: its role, inputs, origin and figures."""
     card = model.card
     size_mb = model.path.stat().st_size / 1e6
-    frame = f"{card.frame.width_px} x {card.frame.height_px} {card.frame.colour}"
     return [
         f"{model.path.name}: {card.name}, {card.role}, {card.form} form, {size_mb:.2f} MB"
         + (", decides" if decides else ""),
-        f"  takes       {card.frames_per_decision} frame pairs, {frame}, {card.quantisation} quantisation",
+        f"  takes       {card.frames_per_decision} {_input(card)}, {card.quantisation} quantisation",
         f"  calibrated  temperature {card.calibration.temperature:.3g}, refuses below {card.min_confidence:.0%}",
         f"  validation  {_trained(card)}",
         f"  from        commit {card.git_commit[:12]}, data {card.training_data_sha256[:12]}{_seed(card.training_run)}",

@@ -112,6 +112,11 @@ class Exported:
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise DatasetError(f"{path}: no dataset that `export-dataset` wrote, {TRIALS}: {error}") from error
         self._files = [path / _DATA.format(chunk_index=chunk, file_index=file) for chunk, file in places]
+        for file in dict.fromkeys(self._files):
+            try:
+                pq.read_metadata(file)
+            except (OSError, ValueError) as error:
+                raise DatasetError(f"{file}: not a Parquet file: {error}") from error
         listed = "\n".join(file_sha256(file) for file in (path / TRIALS, *dict.fromkeys(self._files)))
         self.manifest = Contents(sensor, hashlib.sha256(listed.encode()).hexdigest())
 

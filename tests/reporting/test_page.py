@@ -1,6 +1,9 @@
 """Pages wrap prose and nothing else, and what is written is whole and repeatable."""
 
+import inspect
 import json
+import runpy
+import shutil
 import subprocess
 import sys
 
@@ -84,6 +87,18 @@ def test_an_axis_that_hides_zero_says_so(tmp_path):
 def test_machine_and_commit_are_plain_data():
     assert json.loads(json.dumps(machine()))["cores"] >= 1
     assert commit()
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="no git here")
+def test_the_commit_is_that_of_this_code_and_not_of_the_folder_around(tmp_path, monkeypatch):
+    own = commit()
+    named = ["-c", "user.name=a", "-c", "user.email=a@b.c", "commit", "-q", "--allow-empty", "-m", "theirs"]
+    for words in (["init", "-q"], named):
+        subprocess.run(["git", *words], cwd=tmp_path, check=True)
+    monkeypatch.chdir(tmp_path)
+    assert commit() == own
+    installed = shutil.copy(str(inspect.getsourcefile(commit)), tmp_path)
+    assert runpy.run_path(installed)["commit"]() == "unknown"
 
 
 def test_the_fastest_call_counts():

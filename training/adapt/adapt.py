@@ -95,9 +95,13 @@ def adapt(
     ``around``: a dataset of presses simulated around the cell, for the stage of that name. ``record``: of the cell's
     commissioning, see `read_episodes`. Raises ContractError where there is nothing to learn from, where the checkpoint
     reads no depth, or where it was adapted to some of these recordings or does not say to which: no figure would be on
-    held-out ones.
+    held-out ones. Nor is ``start`` replaced: the next adaptation begins with it.
     """
-    release = Checkpoint.load(start)
+    release, written = Checkpoint.load(start), out / "checkpoint.pt"
+    if written.is_file() and written.samefile(start):
+        raise ContractError(
+            f"{out} holds the release, which the adapted checkpoint would replace; expected another --out"
+        )
     if release.pressing is None:
         raise ContractError(f"{start} holds a {release.network.kind} network, expected one that reads steps of depth")
     samples = read_episodes(recordings, release.sensor, record)
@@ -109,10 +113,9 @@ def adapt(
     chosen = tuple(stage for stage in stages if stage != "around" or presses)
     held = hold_out(release, samples, chosen, seed, presses)
     comparison = replace(compare(release, samples, held, seed), gap=gap)
-    written = out / "checkpoint.pt"
     if comparison.accepted:
         _fitted(comparison, release, samples, held[comparison.best], seed, presses).save(written)
-    elif written.is_file() and not written.samefile(start):
+    elif written.is_file():
         written.replace(written.with_name("earlier.pt"))
     return comparison
 

@@ -135,6 +135,8 @@ def adapt(
     from training.adapt.adapt import report as plain_data
 
     torch.set_num_threads(1)
+    if json is not None:
+        json.parent.mkdir(parents=True, exist_ok=True)  # now: the fit takes minutes
     comparison = fit(recordings, start, out, around=around, record=record, seed=seed)
     print(comparison.text())
     if json is not None:

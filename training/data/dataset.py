@@ -116,7 +116,8 @@ def shown(frames: NDArray[np.uint8], sensor: Sensor, reads: Reads) -> NDArray[An
 def load_trials(config: DataConfig, source: Source | None = None, reads: Reads = "pictures") -> Trials:
     """Read labels and fields, and draw the configured pictures, from the cache where it holds them.
 
-    Raises ContractError on non-finite labels, on trials without their window, and on groups spread over splits.
+    Raises ContractError on non-finite labels, on trials without their window or of drawn cells, and on groups spread
+    over splits.
     """
     source = open_source(config.path) if source is None else source
     digest = data_sha256(source)
@@ -164,6 +165,9 @@ def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[An
         trial = source.trial(index)
         if trial.outcome != "blocked" or trial.onset_frame is None or trial.onset_frame < 0:
             continue
+        if getattr(trial, "drawn", ""):
+            what = "the frames of a drawn cell are equal steps of depth, not of time"
+            raise ContractError(f"trial {index}: {what}; expected network.kind = 'pressing', or named objects")
         start = _window_start(trial, index)
         rows["key"].append(_key(trial))
         rows["index"].append(index)
@@ -192,17 +196,32 @@ def _check(table: dict[str, NDArray[Any]]) -> None:
         if not np.isfinite(table[name]).all():
             bad = int(np.flatnonzero(~np.isfinite(table[name].reshape(len(table[name]), -1)).all(1))[0])
             raise ContractError(f"trial {int(table['index'][bad])}: {name} is not finite")
+    refuse_split_groups(table)
+
+
+def refuse_split_groups(table: dict[str, NDArray[Any]]) -> None:
+    """Raise ContractError if a re-fixture group is in two splits: figures would be on trials like those trained on."""
     homes: dict[str, int] = {}
     for group, split in zip(table["groups"].tolist(), table["split"].tolist(), strict=True):
         if homes.setdefault(group, split) != split:
             raise ContractError(f"re-fixture group {group} is in {SPLITS[split]} and {SPLITS[homes[group]]}")
 
 
+def refuse_empty_splits(split: NDArray[np.int64]) -> None:
+    """Raise ContractError unless there are collisions to train on and to validate with."""
+    for name in ("train", "validation"):
+        if not (split == SPLITS.index(name)).any():
+            raise ContractError(f"the dataset has no collisions in its {name} split")
+
+
 def write_table(path: Path, table: dict[str, NDArray[Any]]) -> None:
     """Write the file whole or not at all, also where another process writes the same one."""
     temporary = path.with_suffix(f".{os.getpid()}.tmp.npz")
-    np.savez(temporary, **table)  # type: ignore[arg-type]
-    temporary.replace(path)
+    try:
+        np.savez(temporary, **table)  # type: ignore[arg-type]
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)  # or each further try would fill the disk a little more
 
 
 def _load_pictures(

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import ContractError, Sensor
+from service.contract.model_card import CONDITIONS
 from service.contract.wire_parts import errors_left
 from training.data.dataset import SPLITS
 from training.data.pressed import Pressed
@@ -44,7 +45,7 @@ def read_episodes(root: Path, sensor: Sensor, record: Path | None = None) -> Pre
     """All attempts below ``root`` with a known error, in order of time, as training samples.
 
     ``record`` of a commissioning: of all probes, only those that it lists. Raises ContractError where there is none, or
-    where an attempt was recorded on another lattice.
+    where an attempt was recorded on another lattice or under other conditions.
     """
     folders = sorted(path.parent for path in root.glob("*/summary.json"))
     listed = None if record is None else _listed(record)
@@ -62,8 +63,6 @@ def pressed_of(attempts: list[Attempt], sensor: Sensor) -> Pressed:
     count = len(attempts)
     fields = np.zeros((count, STEPS, 2, LATTICE.rows, LATTICE.columns, 2), np.float16)
     for row, attempt in zip(fields, attempts, strict=True):
-        if attempt.steps.shape[1:] != (2, LATTICE.rows, LATTICE.columns, 3):
-            raise ContractError(f"an attempt holds steps {list(attempt.steps.shape)}, expected {LATTICE}")
         kept = attempt.steps[:STEPS]
         row[: len(kept)] = np.where(kept[..., 2:] > 0, kept[..., :2], np.nan)
     names = np.array([attempt.fixture for attempt in attempts])
@@ -135,7 +134,14 @@ def _shown(path: Path) -> tuple[Inputs | None, Move]:
     with path.open("rb") as stream, np.load(stream) as stored:
         decision = json.loads(str(stored["decision"]))
         moves = float(decision.get("dx_mm", 0.0)), float(decision.get("dtheta_deg", 0.0))
-        return ((stored["steps"], stored["conditions"]) if "steps" in stored.files else None), moves
+        if "steps" not in stored.files:
+            return None, moves
+        steps, conditions = stored["steps"], np.asarray(stored["conditions"], np.float32)
+    if not len(steps) or steps.shape[1:] != (2, LATTICE.rows, LATTICE.columns, 3):
+        raise ValueError(f"{path.name} holds steps {list(steps.shape)}, expected {LATTICE}")
+    if conditions.shape != (len(CONDITIONS),) or not np.isfinite(conditions).all():
+        raise ValueError(f"{path.name} holds conditions {conditions}, expected {', '.join(CONDITIONS)}")
+    return (steps, conditions), moves
 
 
 def _errors(summary: dict[str, Any], moves: list[Move]) -> list[Move | None]:

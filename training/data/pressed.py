@@ -15,7 +15,7 @@ from service.contract import ContractError, Sensor
 from service.contract.model_card import CONDITIONS, MARKER_PITCH, Pressing, Span
 from training.config import DataConfig
 from training.data.batches import Batch, mirror_fields
-from training.data.dataset import SPLITS, Source, data_sha256, open_source, write_table
+from training.data.dataset import SPLITS, Source, data_sha256, open_source, refuse_split_groups, write_table
 from training.data.descents import Reader, Stored
 from training.data.labels import HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
 from training.networks.pressing import DECISION_STEPS, LATTICE, STEP_MM
@@ -143,13 +143,19 @@ def reading_sha256(source: Source, count: int) -> str:
 
 
 def table_of(source: Source, chosen: Sequence[int], views: int, fps: float | None = None) -> dict[str, Any]:
-    """Fields of `Pressed` of the chosen trials; with ``fps``, all cameras have that rate. ContractError if none."""
+    """Fields of `Pressed` of the chosen trials; with ``fps``, all cameras have that rate.
+
+    Raises ContractError if none collided, if a trial is not finite, or if a group is in two splits.
+    """
     reader = Reader(source.manifest.sensor)
     rows: dict[str, list[Any]] = {name: [] for name in Pressed.__dataclass_fields__ if name not in ("sha256", "sensor")}
     for index in track(chosen, description="reading descents", transient=True):
         trial = source.trial(index)
         if trial.outcome != "blocked" or trial.onset_frame is None or trial.onset_frame < 1:
             continue
+        for name in ("gel", "depth_mm"):
+            if not np.isfinite(getattr(trial, name)).all():
+                raise ContractError(f"trial {index}: {name} is not finite")
         rng = np.random.default_rng([trial.seed, 0x9E55])
         stored = reader.stored(trial)
         for _ in range(views if trial.split == "train" else 1):
@@ -172,7 +178,9 @@ def table_of(source: Source, chosen: Sequence[int], views: int, fps: float | Non
             f"none of the {len(chosen)} trials is a collision; expected outcome 'blocked' with an onset"
         )
     kinds = {"split": np.int64, "length": np.int64, "objects": np.str_, "groups": np.str_, "fields": np.float16}
-    return {name: np.array(values, kinds.get(name, np.float32)) for name, values in rows.items()}
+    table: dict[str, Any] = {name: np.array(values, kinds.get(name, np.float32)) for name, values in rows.items()}
+    refuse_split_groups(table)
+    return table
 
 
 def _stated_conditions(stored: Stored, spacing_mm: float, rng: np.random.Generator) -> NDArray[np.float32]:

@@ -22,6 +22,17 @@ OWN, AS_TRAINED = "validation/all", "trained/all"
 """Keys of a network's figures: its own, and those of the release that it was adapted from."""
 
 
+def save_whole(path: Path, contents: dict[str, Any]) -> None:
+    """Write a file of torch whole or not at all; raise ContractError on a full disk."""
+    temporary = path.with_suffix(".tmp")
+    try:
+        torch.save(contents, temporary)
+    except RuntimeError as error:  # also for what the system refuses
+        temporary.unlink(missing_ok=True)
+        raise ContractError(f"{path} cannot be written, is the disk full? {error}") from error
+    temporary.replace(path)
+
+
 @dataclass(frozen=True)
 class Checkpoint:
     """Everything that the exporter needs. ``figures`` belong to the split and the objects that their key names."""
@@ -64,9 +75,7 @@ class Checkpoint:
             "expectations": self.expectations.model_dump(mode="json"),
         }
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_suffix(".tmp")
-        torch.save({"about": json.dumps(about), "weights": self.weights}, temporary)
-        temporary.replace(path)
+        save_whole(path, {"about": json.dumps(about), "weights": self.weights})
 
     @classmethod
     def load(cls, path: Path) -> "Checkpoint":

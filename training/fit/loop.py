@@ -18,6 +18,7 @@ from torch.optim.lr_scheduler import LambdaLR
 from service.contract import ContractError
 from training.config import StageConfig
 from training.fit import parallel
+from training.fit.checkpoint import save_whole
 
 WARM_UP = 0.05
 MAX_GRADIENT = 1.0
@@ -138,8 +139,8 @@ def _keep_best(at: _Progressed, scalars: dict[str, float], network: nn.Module) -
 
 
 def _save(path: Path, network: nn.Module, optimiser: Optimizer, schedule: LambdaLR, at: _Progressed) -> None:
-    temporary = path.with_suffix(".tmp")
-    torch.save(
+    save_whole(
+        path,
         {
             "network": network.state_dict(),
             "optimiser": optimiser.state_dict(),
@@ -150,9 +151,7 @@ def _save(path: Path, network: nn.Module, optimiser: Optimizer, schedule: Lambda
             "best_state": at.best_state,
             "minutes": at.minutes,
         },
-        temporary,
     )
-    temporary.replace(path)
 
 
 def _resume(path: Path, network: nn.Module, optimiser: Optimizer, schedule: LambdaLR) -> _Progressed:

@@ -19,7 +19,7 @@ from service.contract import ContractError, Sensor
 from service.contract.model_card import Expectations
 from training.config import RunConfig, pin, refuse_another
 from training.data.batches import Batch, frame_pairs
-from training.data.dataset import SPLITS, Source, Trials
+from training.data.dataset import SPLITS, Source, Trials, refuse_empty_splits
 from training.data.labels import CLASSES, class_of
 from training.data.pressed import Pressed
 from training.data.reading import Samples, decisions, epoch, load
@@ -182,9 +182,7 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
 
 
 def _prepare(config: RunConfig, trials: Samples, device: torch.device) -> Trainer:
-    for split in ("train", "validation"):
-        if not len(trials.of(split)):
-            raise ContractError(f"the dataset has no collisions in its {split} split")
+    refuse_empty_splits(trials.split)
     network: Decider = build(config.network, len(CLASSES), trials.sensor)
     if config.start_from is not None:
         network.load_state_dict(_start(config, trials.sensor).build(config.network).state_dict())

@@ -159,5 +159,6 @@ def load_imagenet(network: AlexNetLstm, path: Path) -> None:
         network.alexnet.load_state_dict(kept)
     except OSError as error:
         raise ContractError(f"cannot read the ImageNet weights {path}: {error.strerror}") from error
-    except (RuntimeError, AttributeError) as error:
-        raise ContractError(f"{path} does not hold torchvision's AlexNet: {str(error).splitlines()[0]}") from error
+    except Exception as error:  # torch raises pickle, zip and key errors of many kinds on another file
+        why = f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
+        raise ContractError(f"{path} does not hold torchvision's AlexNet: {why}") from error

@@ -1,7 +1,8 @@
 """The network that reads depth: the gel's motion on a lattice in mm, step by step, and the cell's numbers.
 
 Its inputs are the motion, the motion over its own size, which shows the object's direction after little motion, and the
-motion over the grasp's shear reach if known. It decides after every step, and is trained to.
+motion over the grasp's shear reach if known, through a layer of fixed random weights (docs/decisions/0075). It decides
+after every step, and is trained to.
 """
 
 import torch
@@ -39,7 +40,7 @@ class PressingNetwork(Decider):
 
     def __init__(self, settings: NetworkConfig, classes: int, sensor: Sensor) -> None:
         super().__init__(settings, classes, sensor)
-        self.shares = nn.Linear(SHARES.stop - SHARES.start, SHARE_FEATURES)
+        self.shares = nn.Linear(SHARES.stop - SHARES.start, SHARE_FEATURES).requires_grad_(False)
         self.strange = Strangeness()
 
     def grid(self, sensor: Sensor) -> tuple[int, int]:  # noqa: ARG002 any sensor is read on the same lattice

@@ -55,9 +55,9 @@ def test_a_missing_model_is_named(tmp_path):
 def test_what_cannot_be_measured_is_refused_by_name(tmp_path):
     with pytest.raises(ContractError, match="no network to measure"):
         benchmark([], seconds=0.05, docs=tmp_path)
-    depth = Path("models/pressing")
-    with pytest.raises(ContractError, match="--int8 models/pressing: expected step networks that read pictures or"):
-        benchmark([depth / "pair.step.onnx"], seconds=0.02, docs=tmp_path, int8=depth)
+    for folder in (Path("models/pressing"), Path("models/joint"), tmp_path):  # of depth, no command, none
+        with pytest.raises(ContractError, match=f"--int8 {folder}: expected step networks of direction and magnitude"):
+            benchmark([Path("models/pressing/pair.step.onnx")], seconds=0.02, docs=tmp_path, int8=folder)
 
 
 def test_the_memory_of_a_fresh_process_is_that_of_its_first_opening():

@@ -1,3 +1,4 @@
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -6,7 +7,7 @@ import pytest
 
 from export.onnx.golden import golden_frames
 from export.onnx.model import open_model
-from export.onnx.to_onnx import attach_card
+from export.onnx.to_onnx import attach_card, export_checkpoint
 from export.onnx.verify import decide, verify
 from service.contract import ContractError, ModelCard
 from service.contract.self_test import check_self_test
@@ -100,6 +101,14 @@ def test_a_card_that_promises_other_inputs_is_refused(models, tmp_path):
     onnx.save(model, str(tmp_path / "liar.onnx"))
     with pytest.raises(ContractError, match="its card promises"):
         verify(tmp_path)
+
+
+def test_nothing_is_exported_into_a_folder_that_a_service_would_then_refuse(tmp_path):
+    """A network that reads depth, exported without --out, would stop the networks of models/ from loading."""
+    there = Path(shutil.copy("models/direction.step.onnx", tmp_path))
+    with pytest.raises(ContractError, match=r"a service loads no pair\.step\.onnx beside direction\.step\.onnx"):
+        export_checkpoint(Path("models/pressing/checkpoint.pt"), tmp_path)
+    assert list(tmp_path.iterdir()) == [there]
 
 
 def test_an_empty_folder_is_named(tmp_path):

@@ -1,5 +1,7 @@
 """`python -m service models` states in one line why the service would refuse a folder."""
 
+import pytest
+
 from service.__main__ import main
 from tests.docs.commands import ROOT
 
@@ -18,3 +20,18 @@ def test_the_released_models_are_described(capsys):
     out = capsys.readouterr().out
     assert out.count(", decides") in {1, 2}
     assert "sha256" in out
+
+
+@pytest.mark.parametrize(
+    ("folder", "takes"),
+    [
+        ("models", "8 fields of 20 x 21 markers, of both fingers,"),
+        ("models/pictures", "8 frame pairs, 327 x 320 bgr,"),
+        ("models/pressing", "8 steps of 0.15 mm on 13 x 13 points,"),
+    ],
+)
+def test_a_model_is_said_to_take_what_it_reads(capsys, folder, takes):
+    assert main(["models", str(ROOT / folder)]) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  takes")]
+    assert lines
+    assert all(takes in line for line in lines)

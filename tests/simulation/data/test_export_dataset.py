@@ -148,6 +148,20 @@ def test_an_export_that_was_altered_is_another_and_another_s_dataset_is_refused(
         Exported(mine)
 
 
+@pytest.mark.parametrize("kept", [0, 0.5, None], ids=["empty", "half", "missing"])
+def test_an_export_with_a_damaged_file_of_frames_is_refused_by_name(
+    lerobot: Path, tmp_path: Path, kept: float | None
+) -> None:
+    mine = Path(shutil.copytree(lerobot, tmp_path / "mine"))
+    damaged = max((mine / "data").rglob("*.parquet"))
+    if kept is None:
+        damaged.unlink()
+    else:
+        damaged.write_bytes(damaged.read_bytes()[: int(kept * damaged.stat().st_size)])
+    with pytest.raises(DatasetError, match=f"{damaged.name}: not a Parquet file"):
+        Exported(mine)
+
+
 def test_nothing_is_overwritten_and_nothing_is_made_up(source: Path, tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(DatasetError, match="not empty"):

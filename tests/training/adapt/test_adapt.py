@@ -121,6 +121,27 @@ def test_a_file_that_was_cut_off_is_named(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "changed",
+    [
+        {"conditions": CONDITIONS[:5]},
+        {"conditions": CONDITIONS * np.float32(np.nan)},
+        {"conditions": np.full(6, "25 N")},
+        {"steps": np.zeros((0, 2, LATTICE.rows, LATTICE.columns, 3), np.float32)},
+        {"steps": np.zeros((8, 2, 11, 11, 3), np.float32)},
+    ],
+    ids=["five conditions", "NaN", "texts", "no step", "another lattice"],
+)
+def test_an_attempt_that_holds_no_input_of_such_networks_is_named(tmp_path, changed):
+    keep(tmp_path / "a", [(steps_of(1, 1, np.random.default_rng(0)), {})], "probe", "failed", -7.0, 3.0)
+    (path,) = tmp_path.glob("a/attempt_*.npz")
+    with np.load(path) as stored:
+        kept = {name: stored[name] for name in stored.files}
+    np.savez(path, **kept | changed)
+    with pytest.raises(ContractError, match="a is no recording of an insertion"):
+        read_episodes(tmp_path, Sensor.load())
+
+
+@pytest.mark.parametrize(
     "facts",
     [{"approach": None}, {"approach": {"x_mm": math.nan, "yaw_deg": 1.0}}, {"decisions": 5}, {"decisions": [5]}],
     ids=str,
@@ -255,8 +276,9 @@ def test_too_few_probes_leave_the_release_and_none_are_an_error(release, tmp_pat
 def test_a_checkpoint_of_an_earlier_run_does_not_pass_for_one_that_was_not_accepted(release, tmp_path):
     earlier, probes = tmp_path / "checkpoint.pt", recorded(tmp_path / "few", 7)
     earlier.write_bytes(release.read_bytes())
-    assert not adapt(probes, earlier, tmp_path).accepted
-    assert earlier.is_file(), "the release itself stays where it is"
+    with pytest.raises(ContractError, match="holds the release, which the adapted checkpoint would replace"):
+        adapt(probes, earlier, tmp_path)
+    assert earlier.read_bytes() == release.read_bytes()
     assert not adapt(probes, release, tmp_path).accepted
     assert sorted(path.name for path in tmp_path.glob("*.pt")) == ["earlier.pt"]
 

@@ -13,6 +13,7 @@ from export.cli.commands import main as export_main
 from service.contract import ContractError, Sensor
 from simulation.data.manifest import MANIFEST, ShardEntry
 from tests.simulation.strategies import made_up_dataset, made_up_trial
+from tests.training.adapt.test_adapt import recorded
 from training.cli.commands import main
 from training.data.labels import CLASSES
 from training.fit.checkpoint import Checkpoint
@@ -162,3 +163,11 @@ def test_a_run_does_not_go_on_from_a_file_cut_short(config, source):
     with pytest.raises(ContractError, match=r"front\.resume\.pt cannot be read"):
         train(config, source)
     assert cut.read_bytes().endswith(b"full")
+
+
+def test_the_comparison_of_an_adaptation_is_written_into_a_new_folder(tmp_path):
+    """The fit takes minutes, and an accepted network must not end as invalid input."""
+    compared = tmp_path / "new" / "compared.json"
+    words = ["adapt", recorded(tmp_path / "few", 7), "--from", "models/pressing/checkpoint.pt"]
+    assert main([*map(str, words), "--out", str(tmp_path / "out"), "--json", str(compared)]) == 3
+    assert json.loads(compared.read_text())["accepted"] is False

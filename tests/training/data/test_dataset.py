@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from service.contract import ContractError, Sensor
+from tests.simulation.strategies import made_up_dataset, made_up_trial
 from tests.training.synthetic import SyntheticSource
 from training.config import WINDOW, DataConfig
 from training.data.batches import decisions, mirror_fields
@@ -106,6 +107,13 @@ def test_nan_labels_are_named_and_refused(tmp_path):
     source.trials[7] = replace(source.trials[7], theta_deg=float("nan"))
     with pytest.raises(ContractError, match="trial 7: error is not finite"):
         load_trials(DataConfig(path="unused", cache=str(tmp_path)), source)
+
+
+def test_networks_of_frames_do_not_train_on_steps_of_depth(tmp_path):
+    """Their figures would look right, and a camera would show them another motion."""
+    made_up_dataset(tmp_path / "presses", [made_up_trial(k, drawn="{}", speed_mm_s=10.0) for k in range(3)])
+    with pytest.raises(ContractError, match="trial 0: the frames of a drawn cell are equal steps of depth"):
+        load_trials(DataConfig(path=str(tmp_path / "presses"), cache=str(tmp_path)), reads="markers")
 
 
 def test_a_decision_starts_at_the_onset_and_is_relative_to_it(trials):

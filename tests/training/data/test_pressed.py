@@ -6,8 +6,9 @@ from multiprocessing import get_context
 
 import numpy as np
 import pytest
+import torch
 
-from service.contract import Sensor
+from service.contract import ContractError, Sensor
 from service.perception.pressing import lattice_weights, on_lattice
 from simulation.cli.dataset import export_dataset
 from simulation.data import drawn_cells
@@ -16,9 +17,11 @@ from tests.simulation.strategies import made_up_dataset, made_up_trial
 from tests.training.synthetic import SyntheticSource
 from training.data import descents
 from training.data.descents import Reader
+from training.data.labels import CLASSES
 from training.data.pressed import load_pressed
 from training.data.reading import decisions
 from training.fit.train import train
+from training.networks import build
 from training.networks.pressing import DECISION_STEPS, LATTICE, STEPS
 from training.networks.settings import NetworkConfig
 
@@ -69,6 +72,23 @@ def test_two_processes_may_fill_the_same_cache_at_once(pressed_source, config, t
     monkeypatch.setattr(np, "savez", overtaken)
     assert len(load_pressed(data, pressed_source)) > 60
     assert len(list(tmp_path.rglob("*.npz"))) == 1
+
+
+@pytest.mark.parametrize(
+    ("damage", "named"),
+    [
+        ({"split": "test"}, "re-fixture group rectangle/0"),
+        ({"gel": np.full((30, 2, 20, 21, 3), np.nan)}, "trial 1: gel is not finite"),
+        ({"depth_mm": np.full(30, np.nan)}, "trial 1: depth_mm is not finite"),
+    ],
+    ids=["a group in two splits", "a gel of NaN", "depths of NaN"],
+)
+def test_presses_that_would_spoil_a_network_or_its_figures_are_refused(config, tmp_path, damage, named):
+    source = down(10)
+    for name, value in damage.items():
+        setattr(source.trials[1], name, value)
+    with pytest.raises(ContractError, match=named):
+        load_pressed(config.data.model_copy(update={"cache": str(tmp_path)}), source)
 
 
 def test_a_trial_that_states_no_speed_is_read_as_one_of_its_scene(pressed_source):
@@ -123,10 +143,26 @@ def test_a_run_states_how_it_reads_and_what_it_was_trained_on(pressed_source, co
     assert checkpoint.figures["validation/all"]["trials"] > 0
 
 
+def test_training_moves_every_weight_but_those_that_are_fixed(pressed_source, config):
+    run = config.model_copy(update={"network": SMALL})
+    weights = train(run, pressed_source).weights
+    torch.manual_seed(run.seed)
+    begun = build(SMALL, len(CLASSES), pressed_source.manifest.sensor)
+    kept = [name for name, value in begun.named_parameters() if torch.equal(value, weights[name])]
+    assert kept == ["shares.weight", "shares.bias"]
+    assert not any(begun.get_parameter(name).requires_grad for name in kept)
+
+
 def test_a_network_is_trained_on_a_lerobot_export_as_on_the_shards_it_is_of(tmp_path, config):
     trials = [
         made_up_trial(
-            k, gel=made_up_trial(k).gel * np.float16(3), onset_frame=8, drawn="{}", speed_mm_s=10.0, grip_n=20.0
+            k,
+            gel=made_up_trial(k).gel * np.float16(3),
+            group=k,
+            onset_frame=8,
+            drawn="{}",
+            speed_mm_s=10.0,
+            grip_n=20.0,
         )
         for k in range(6)
     ]

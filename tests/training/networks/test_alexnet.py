@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -45,7 +47,7 @@ def test_an_imagenet_state_dict_loads_under_torchvisions_names(tmp_path):
     assert all(bool((value == 0.5).all()) for name, value in network.alexnet.named_parameters() if "weight" in name)
 
 
-@pytest.mark.parametrize("what", ["missing", "a key less", "no state dict"])
+@pytest.mark.parametrize("what", ["missing", "empty", "a text", "a key less", "no state dict"])
 def test_weights_that_do_not_fit_are_refused_by_name(tmp_path, network, what):
     path = tmp_path / "alexnet.pth"
     if what == "a key less":
@@ -54,6 +56,8 @@ def test_weights_that_do_not_fit_are_refused_by_name(tmp_path, network, what):
         torch.save(weights, path)
     elif what == "no state dict":
         torch.save([1, 2], path)
+    elif what != "missing":
+        path.write_text("" if what == "empty" else "hello")
     with pytest.raises(ContractError, match=r"alexnet\.pth"):
         load_imagenet(network, path)
 
@@ -115,6 +119,16 @@ def tiny_recipe(folder):
         direction=stage,
         magnitude=stage,
     )
+
+
+@pytest.mark.parametrize("lacking", ["train", "validation"])
+def test_a_recipe_without_trials_to_train_on_or_to_validate_with_is_refused(tmp_path, lacking):
+    source = SyntheticSource(10)
+    source.trials = [replace(trial, split="test" if trial.split == lacking else trial.split) for trial in source.trials]
+    config = tiny_recipe(tmp_path)
+    with pytest.raises(ContractError, match=f"no collisions in its {lacking} split"):
+        train_recipe(config, source)
+    assert not list(config.folder.iterdir())
 
 
 @pytest.mark.slow
