@@ -12,6 +12,7 @@ from robot_client.insertion.state import Phase, State
 from service.contract import wire
 
 _AHEAD_S = 0.001
+MOST_STOOD_S = 1.0  # no message can state more
 Result = tuple[State, tuple[Command, ...]]
 
 
@@ -190,9 +191,12 @@ def renew(state: State, captured_ns: int, at_s: float) -> Result:
 
 def later(state: State, stood_s: float) -> Result:
     """The arm stood on its way: the rest of it comes that much later, which networks that read depth must know."""
+    if stood_s > MOST_STOOD_S:
+        return fail(state, "arm", "link", f"the descent stood for {stood_s:.2f} s, allowed up to {MOST_STOOD_S:g} s")
     speeds = tuple((due_s + stood_s, way_mm, mm_s) for due_s, way_mm, mm_s in state.speeds)
-    named, paused_s = state.plan.insertion_id, min(stood_s, 1.0)  # the message holds no more
-    paused = wire.Descending(insertion_id=named, attempt=state.attempt, speed_mm_s=state.speed_mm_s, paused_s=paused_s)
+    paused = wire.Descending(
+        insertion_id=state.plan.insertion_id, attempt=state.attempt, speed_mm_s=state.speed_mm_s, paused_s=stood_s
+    )
     return replace(state, speeds=speeds), (send(paused),)
 
 

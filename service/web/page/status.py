@@ -18,7 +18,7 @@ from service.web.page.running import Running
 from service.web.page.sentences import CHARTS, PHASES, changed, ended, event, versions
 
 EVENTS_N = 30
-AFRESH_S = 90.0  # the trip to the fixture and back takes about 17 s in the simulated cell
+AFRESH_S = 90.0  # the trip to the fixture and back takes some 12 s in the simulated cell
 SHOWN_ALARMS_N = 20
 CAMERA_REMEDY = "Check cable and power of that finger. It comes back by itself."
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_client.insertion.actions import MOST_STOOD_S
 from robot_client.insertion.events import Hold, Move, Renew, Stood, Tick
 from robot_client.insertion.lease import PAUSE_S, ClockMap, Lease, Unwatched
 from robot_client.insertion.limits import LimitError, Limits
@@ -89,14 +90,21 @@ def test_a_frame_that_is_judged_within_the_pause_renews_the_lease():
     assert isinstance(renewed, Renew), "without a pause there is nothing to say"
 
 
-@pytest.mark.parametrize(("stood_s", "stated_s"), [(0.19, 0.19), (4.0, 1.0)])
-def test_an_arm_that_stood_because_its_link_had_gaps_is_reported_like_a_pause(stood_s, stated_s):
+def test_an_arm_that_stood_for_longer_than_can_be_stated_goes_no_further():
+    state, _ = descending(PAUSE_S)
+    after, _ = step(state, Stood(at_s=0.05, stood_s=MOST_STOOD_S + 0.01))
+    assert after.phase is Phase.FAILED
+    assert after.reason.startswith("arm: link: the descent stood for 1.01 s")
+
+
+@pytest.mark.parametrize("stood_s", [0.19, MOST_STOOD_S])
+def test_an_arm_that_stood_because_its_link_had_gaps_is_reported_like_a_pause(stood_s):
     """Else the service would take the time for travel, and the touch for as much deeper."""
     state, _ = descending(PAUSE_S)
     stood = Stood(at_s=0.05, stood_s=stood_s)
     after, (paused,) = step(state, stood)
     assert (after.phase, after.until_s) == (Phase.DESCENDING, state.until_s), "it renews nothing"
-    assert (paused.message.type, paused.message.speed_mm_s, paused.message.paused_s) == ("descending", 10.0, stated_s)
+    assert (paused.message.type, paused.message.speed_mm_s, paused.message.paused_s) == ("descending", 10.0, stood_s)
     assert step(run(TO_DESCENT[:-1])[0], stood)[1] == ()
 
 
