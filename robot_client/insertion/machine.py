@@ -147,7 +147,7 @@ def _on_standstill(state: State, event: Standstill) -> Result:
             depth_mm=depth_mm,
             outcome=outcome,
             gripper_width_mm=state.width_mm,
-            still_s=min(event.still_s, 1.0),  # the message holds no more
+            still_s=min(event.still_s, 1.0),  # all it holds; less only lengthens the wait for the last frame
         )
     )
     if outcome == "dropped":
