@@ -35,7 +35,8 @@ from training.metrics.joint import Densities
 
 FEWEST = 20
 DRAWS = 2000
-LIKELIER_THAN = 0.05
+BY_CHANCE = 0.05
+"""Largest probability, all stages together, that a gain is chance."""
 COVERAGE_SLACK = 0.02
 Figures = dict[str, float]
 Held = dict[StageName, tuple[Predictions, Densities]]
@@ -157,7 +158,8 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
     losses = {stage: _losses(one) for stage, one in fair.items()}
     by_loss = sorted(fair, key=lambda stage: float(losses[stage].mean()))
     likelier = by_loss[: by_loss.index("released")]
-    against = {stage: tuple(_objections(fair["released"], fair[stage], groups, seed)) for stage in likelier}
+    chance = BY_CHANCE / max(1, len(fair) - 1)  # one stage of several is chosen (Bonferroni)
+    against = {stage: tuple(_objections(fair["released"], fair[stage], groups, seed, chance)) for stage in likelier}
     best = next((stage for stage in likelier if not against[stage]), by_loss[0])
     objections = against.get(best, ("no stage is likelier than the release",))
     described = {stage: {**figures(one), "likelihood": float(losses[stage].mean())} for stage, one in fair.items()}
@@ -244,7 +246,9 @@ def _losses(predictions: Predictions) -> NDArray[np.float64]:
     return np.asarray(-np.log(np.maximum(p, 1e-12)) + (0.5 * z**2 + predictions.log_sigma).mean(1), np.float64)
 
 
-def _objections(before: Predictions, after: Predictions, groups: NDArray[np.str_], seed: int) -> Iterable[str]:
+def _objections(
+    before: Predictions, after: Predictions, groups: NDArray[np.str_], seed: int, chance: float
+) -> Iterable[str]:
     """Objections to a replacement: the gain by a paired bootstrap over fixtures, each count by its mean."""
     fixtures = np.unique(groups, return_inverse=True)[1]
     counts: dict[str, Callable[[Predictions], NDArray[np.float64]]] = {
@@ -253,8 +257,8 @@ def _objections(before: Predictions, after: Predictions, groups: NDArray[np.str_
         "error in yaw": lambda one: np.abs(one.error - one.truth)[:, 1],
     }
     gained = _means(_losses(before) - _losses(after), fixtures, seed)
-    if np.quantile(gained, LIKELIER_THAN) <= 0.0:
-        yield f"likelier by {gained.mean():.3f}, which may be chance (5 % quantile {np.quantile(gained, 0.05):.3f})"
+    if (least := float(np.quantile(gained, chance))) <= 0.0:
+        yield f"likelier by {gained.mean():.3f}, which may be chance ({chance:.2%} quantile {least:.3f})"
     for name, count in counts.items():
         lost = float((count(after) - count(before)).mean())
         if lost > 0.0:
