@@ -3,10 +3,12 @@
 from dataclasses import dataclass
 from typing import Any
 
+from robot_client.insertion.motion import CYCLE_S, MISSED_CYCLES
 from robot_client.robots.abb_egm.codec import RobotState
 from robot_client.silence import Silence
 
-_BAD_IN_A_ROW = 25
+_BAD_IN_A_ROW = _SLOW_IN_A_ROW = 25
+_LONGEST_CYCLE_MS = round(MISSED_CYCLES * CYCLE_S * 1e3)
 _DRIFT = 2e-4  # two quartz clocks may drift apart this fast without a datagram being late
 
 
@@ -33,6 +35,8 @@ class EgmWatch:
     worst_age_s: float = 0.0
     not_ready: str = ""
     _bad_in_a_row: int = 0
+    _slow_in_a_row: int = 0
+    _cycle_ms: int = 0
     _last: RobotState | None = None
     _robot_s: float = 0.0  # since the first datagram, on the robot's clock
     _newest_s: float | None = None
@@ -52,6 +56,9 @@ class EgmWatch:
             self.repeated += 1
             return None
         step_ms = (state.time_ms - last.time_ms + 2**31) % 2**32 - 2**31  # their clock wraps
+        if (state.sequence - last.sequence) % 2**32 == 1:  # none is missing between them
+            self._cycle_ms = step_ms
+            self._slow_in_a_row = self._slow_in_a_row + 1 if step_ms > _LONGEST_CYCLE_MS else 0
         self._robot_s += step_ms / 1e3
         elapsed_s = max(0.0, step_ms / 1e3)
         if self._newest_s is not None and now_s - self._newest_s > 0.014:
@@ -74,9 +81,12 @@ class EgmWatch:
         return not self.not_ready
 
     def check(self, state: RobotState) -> None:
-        """Raise StreamFault if the controller no longer follows or its datagrams come late."""
+        """Raise StreamFault if the controller no longer follows, or its datagrams come late or too seldom."""
         if state.unfit:
             raise StreamFault("controller", state.unfit)
+        if self._slow_in_a_row >= _SLOW_IN_A_ROW:
+            expected = f"expected {CYCLE_S * 1e3:g}, {_LONGEST_CYCLE_MS} at most: see SampleRate of EGMActPose"
+            raise StreamFault("slow", f"the controller sends every {self._cycle_ms} ms, {expected}")
         if self._age_s > self.max_age_s:
             raise StreamFault(
                 "stale", f"datagrams are {self._age_s * 1e3:.0f} ms late, allowed {self.max_age_s * 1e3:g}"

@@ -58,8 +58,8 @@ def test_a_controller_that_was_long_not_ready_is_not_late_once_it_is():
 def test_an_hour_of_clock_drift_is_not_lateness():
     w = watch()
     for i in range(3600):
-        w.take(state(i, 1000 * i), i * 1.0001)
-        w.check(state(i, 1000 * i))
+        w.take(state(250 * i, 1000 * i), i * 1.0001)
+        w.check(state(250 * i, 1000 * i))
 
 
 @pytest.mark.parametrize(
@@ -158,10 +158,10 @@ def test_a_stream_that_falls_behind_a_little_at_a_time_is_late_in_the_end():
     """By a hundredth of the time, which no quartz clock does: 0.25 s after half a minute."""
     w = watch()
     for i in range(20):
-        w.take(state(i, 1000 * i), 1.01 * i)
-        w.check(state(i, 1000 * i))
+        w.take(state(250 * i, 1000 * i), 1.01 * i)
+        w.check(state(250 * i, 1000 * i))
     for i in range(20, 40):
-        w.take(state(i, 1000 * i), 1.01 * i)
+        w.take(state(250 * i, 1000 * i), 1.01 * i)
     with pytest.raises(StreamFault, match="late"):
         w.check(state(40, 0))
 
@@ -179,3 +179,29 @@ def test_why_no_datagram_counts_is_told_by_what_came_since_the_last_good_one(unr
     with pytest.raises(StreamFault, match=f"no new datagram for 260 ms: .*{why}"):
         w.check_silence(0.26)
     assert w.bad_datagrams == 30 + unreadable_n
+
+
+@pytest.mark.parametrize(("cycle_ms", "lost_n", "slow"), [(4, 0, False), (12, 0, False), (16, 0, True), (4, 5, False)])
+def test_a_controller_that_sends_too_seldom_is_named_and_lost_datagrams_are_no_slower_controller(
+    cycle_ms, lost_n, slow
+):
+    """Guided every 24 ms, an arm would walk at half its speed."""
+    w = watch()
+    newest = [state(i, cycle_ms * i) for i in range(0, 40 * (1 + lost_n), 1 + lost_n)]
+    for one in newest:
+        w.take(one, one.time_ms / 1e3)
+    if slow:
+        with pytest.raises(
+            StreamFault, match=f"slow: the controller sends every {cycle_ms} ms, expected 4, 12 at most"
+        ):
+            w.check(newest[-1])
+    else:
+        w.check(newest[-1])
+
+
+def test_a_controller_that_is_late_for_a_moment_is_not_a_slow_one():
+    w, time_ms = watch(), 0
+    for i in range(100):
+        time_ms += 24 if i % 25 else 4
+        w.take(state(i, time_ms), time_ms / 1e3)
+        w.check(state(i, time_ms))
