@@ -19,8 +19,11 @@ def results(
     """``work`` of every item as it finishes, or in the order of the items; raises what ``work`` raises.
 
     ``workers``: processes, 0 for one per core, 1 for this process alone. ``ray``: address of a Ray cluster to use
-    instead ("local" starts one here); files named by the items must exist on every node. Raises ValueError without Ray.
+    instead ("local" starts one here); files named by the items must exist on every node. Raises ValueError without Ray,
+    and for a negative number of processes.
     """
+    if workers < 0:
+        raise ValueError(f"{workers} processes; expected 1 or more, or 0 for one per core")
     workers = min(workers or os.cpu_count() or 1, len(items))
     if ray and items:
         yield from _on_ray(work, items, ray)

@@ -33,3 +33,8 @@ def test_a_failure_ends_the_others_at_once():
     with pytest.raises(ArithmeticError, match="the first fails"):
         list(results(fail_or_sleep, range(4), 2))
     assert time.monotonic() - began < 45.0
+
+
+def test_a_negative_number_of_processes_is_named():
+    with pytest.raises(ValueError, match="-1 processes; expected 1 or more, or 0"):
+        list(results(square, range(4), -1))
