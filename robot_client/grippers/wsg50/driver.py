@@ -1,12 +1,10 @@
-"""The WSG-50's binary protocol over TCP: grasp with a force limit, watch the grasp, notice a lost part.
+"""The WSG-50 as the client's gripper: grasp with a force limit, watch the grasp, notice a lost part.
 
-Frames are routed by id: replies to the waiting request, auto-updates to the watch. No program ever acknowledges a
-fault: that is an operator's command (`python -m robot_client home --acknowledge`). During an insertion the gripper is
-never stopped, because STOP ends its part monitoring; the arm stops instead.
+No program ever acknowledges a fault: that is an operator's command (`python -m robot_client home --acknowledge`).
+During an insertion the gripper is never stopped, because STOP ends its part monitoring; the arm stops instead.
 """
 
 import asyncio
-import contextlib
 import math
 import time
 from collections.abc import Coroutine
@@ -14,21 +12,18 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from robot_client.grippers.wsg50 import codec, codes
-from robot_client.grippers.wsg50.codec import Reply, Value
-from robot_client.grippers.wsg50.codes import FAULT_BITS, Command, GraspingState, Status, SystemState, UpdateFlag
+from robot_client.grippers.wsg50.codec import Reply
+from robot_client.grippers.wsg50.codes import FAULT_BITS, Command, GraspingState, SystemState, UpdateFlag
+from robot_client.grippers.wsg50.link import GripperError, Link
 from robot_client.grippers.wsg50.settings import Settings
 from robot_client.insertion.events import Failure, Grasped, PartLost, Width
-from robot_client.ports import Check, DriverError, Finding, Gripper, HomingDirection, Post
+from robot_client.ports import Check, Finding, Gripper, HomingDirection, Post
 from robot_client.silence import Silence
 
 _HOME = "`python -m robot_client home --live` with empty fingers"
 _ACKNOWLEDGE = "`python -m robot_client home --live --acknowledge`"
 _WIDTH_STEP_MM = 0.1  # a smaller change of the width is not reported
 _OPENED_MM = 1.0
-
-
-class GripperError(DriverError):
-    """The gripper refused, failed or fell silent; the text names the request."""
 
 
 @dataclass(slots=True)
@@ -40,17 +35,13 @@ class Wsg50(Gripper):
     system: SystemState = field(default_factory=lambda: SystemState(0))
     limits: dict[str, tuple[float, float]] = field(default_factory=dict)
     _post: Post | None = None
-    _opening: asyncio.Task[None] | None = None
-    _writer: asyncio.StreamWriter | None = None
-    _reader: asyncio.Task[None] | None = None
-    _waiting: dict[int, asyncio.Queue[Reply]] = field(default_factory=dict)
-    _parser: codec.StreamParser = field(default_factory=codec.StreamParser)
-    _lost: str = ""
     _posted_mm: float = math.inf
+    _link: Link = field(init=False)
     _silence: Silence = field(init=False)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
+        self._link = Link(self.settings, self._on_reply, self._on_end)
         self._silence = Silence(self.settings.silence_s, self.settings.silence_s / 4.0)
 
     @property
@@ -61,9 +52,9 @@ class Wsg50(Gripper):
 
     async def connect(self) -> None:
         """Connect and read limits, system state and grasping state; raises GripperError. Moves nothing."""
-        self._opening = asyncio.get_running_loop().create_task(self._open())
-        await asyncio.shield(self._opening)  # an interrupt must leave no connection that nobody announces the end of
-        stroke, v0, v1, _, _, f0, f1, _ = (float(v) for v in (await self.request(Command.SYSTEM_LIMITS)).values)
+        await self._link.open()
+        self._silence.heard(time.monotonic())
+        stroke, v0, v1, _, _, f0, f1, _ = (float(v) for v in (await self._link.request(Command.SYSTEM_LIMITS)).values)
         self.limits = {"force_limit_n": (f0, f1), "grasp_speed_mm_s": (v0, v1), "grasp_width_mm": (0.0, stroke)}
         await self._read_state()
 
@@ -80,17 +71,9 @@ class Wsg50(Gripper):
         self._post = None
         for task in list(self._tasks):
             task.cancel()
-        if self._opening is not None:
-            await asyncio.wait({self._opening})
-        if self._writer is not None:
-            once = UpdateFlag.ONCE, 0
-            for command, values in ((Command.WIDTH, once), (Command.GRASPING_STATE, once), (Command.DISCONNECT, ())):
-                with contextlib.suppress(GripperError):
-                    await self.request(command, *values)
-            self._writer.close()
-        if self._reader is not None:
-            self._reader.cancel()
-            await asyncio.gather(self._reader, *self._tasks, return_exceptions=True)
+        once = UpdateFlag.ONCE, 0
+        await self._link.close(((Command.WIDTH, once), (Command.GRASPING_STATE, once), (Command.DISCONNECT, ())))
+        await asyncio.gather(*self._tasks, return_exceptions=True)
 
     def grasp(self) -> None:
         """Accept an object that is already held; otherwise close on one with the force limit."""
@@ -98,12 +81,12 @@ class Wsg50(Gripper):
 
     async def acknowledge(self) -> None:
         """Clear a latched fault; raises GripperError."""
-        await self.request(Command.ACKNOWLEDGE, codec.ACKNOWLEDGE_WORD)
+        await self._link.request(Command.ACKNOWLEDGE, codec.ACKNOWLEDGE_WORD)
         await self._read_state()  # a part may still be held
 
     async def width_mm(self) -> float:
         """Opening between the fingers; raises GripperError."""
-        return float((await self.request(Command.WIDTH, UpdateFlag.ONCE, 0)).values[0])
+        return float((await self._link.request(Command.WIDTH, UpdateFlag.ONCE, 0)).values[0])
 
     def checks(self) -> dict[str, Check]:
         """Connection, faults, limits and state."""
@@ -114,7 +97,7 @@ class Wsg50(Gripper):
         self._check_healthy()
         if self.held:
             raise GripperError("gripper: holds a part; homing would drop it")
-        await self.request(Command.HOMING, int(codes.HomingDirection[direction.upper()]))
+        await self._link.request(Command.HOMING, int(codes.HomingDirection[direction.upper()]))
         return await self.width_mm()
 
     async def release(self, width_mm: float) -> float:
@@ -136,39 +119,10 @@ class Wsg50(Gripper):
             raise
         return False
 
-    async def request(self, command: Command, *values: Value) -> Reply:
-        """Send and wait for the final reply (the second one of a two-stage command); raises GripperError."""
-        if self._writer is None or self._lost:
-            raise GripperError(f"gripper: {command.name}: {self._lost or 'not connected'}")
-        replies: asyncio.Queue[Reply] = asyncio.Queue()
-        self._waiting[command] = replies
-        self._writer.write(codec.encode_request(command, *values))
-        try:
-            reply = await asyncio.wait_for(replies.get(), self.settings.reply_timeout_s)
-            if reply.status is Status.CMD_PENDING:
-                reply = await asyncio.wait_for(replies.get(), self.settings.motion_timeout_s)
-        except TimeoutError:
-            raise GripperError(f"gripper: {command.name}: no reply in time") from None
-        finally:
-            self._waiting.pop(command, None)
-        if reply.status is not Status.SUCCESS:
-            raise GripperError(f"gripper: {command.name}: {self._lost or reply.status.name}")
-        return reply
-
-    async def _open(self) -> None:
-        opening = asyncio.open_connection(self.settings.host, self.settings.port)
-        try:
-            reader, self._writer = await asyncio.wait_for(opening, self.settings.reply_timeout_s)
-        except (OSError, TimeoutError) as error:
-            where, why = self.settings.address, f"{type(error).__name__} {error}".rstrip()
-            raise GripperError(f"gripper: cannot connect to {where}: {why}") from None
-        self._silence.heard(time.monotonic())
-        self._reader = asyncio.get_running_loop().create_task(self._read(reader))
-
     async def _subscribe(self) -> float:
         """Have state and width sent until one is asked for once, which ends it ([M] 3.4.1); returns the width in mm."""
         for command in (Command.GRASPING_STATE, Command.WIDTH):
-            reply = await self.request(command, UpdateFlag.PERIODIC, self.settings.update_period_ms)
+            reply = await self._link.request(command, UpdateFlag.PERIODIC, self.settings.update_period_ms)
         return float(reply.values[0])
 
     async def _open_fingers(self, width_mm: float) -> None:
@@ -178,12 +132,12 @@ class Wsg50(Gripper):
             raise GripperError(f"gripper: cannot open to {width_mm:g} mm, this gripper allows {low:g} .. {high:g}")
         command = Command.RELEASE if self.held else Command.MOVE
         kind = () if self.held else (codes.MoveFlag.STOP_ON_BLOCK,)
-        await self.request(command, *kind, width_mm, self.settings.grasp_speed_mm_s)
+        await self._link.request(command, *kind, width_mm, self.settings.grasp_speed_mm_s)
         await self._read_state()
 
     async def _read_state(self) -> None:
-        self.system = SystemState(int((await self.request(Command.SYSTEM_STATE, UpdateFlag.ONCE, 0)).values[0]))
-        await self.request(Command.GRASPING_STATE, UpdateFlag.ONCE, 0)
+        self.system = SystemState(int((await self._link.request(Command.SYSTEM_STATE, UpdateFlag.ONCE, 0)).values[0]))
+        await self._link.request(Command.GRASPING_STATE, UpdateFlag.ONCE, 0)
 
     def _check_healthy(self) -> None:
         if faults := self.system & FAULT_BITS:
@@ -200,8 +154,8 @@ class Wsg50(Gripper):
             value = getattr(self.settings, name)
             if not low <= value <= high:
                 raise GripperError(f"gripper: {name} = {value:g}, this gripper allows {low:g} .. {high:g}")
-        await self.request(Command.SET_FORCE_LIMIT, self.settings.force_limit_n)
-        await self.request(Command.GRASP, self.settings.grasp_width_mm, self.settings.grasp_speed_mm_s)
+        await self._link.request(Command.SET_FORCE_LIMIT, self.settings.force_limit_n)
+        await self._link.request(Command.GRASP, self.settings.grasp_width_mm, self.settings.grasp_speed_mm_s)
 
     # ---- background -----------------------------------------------------------------------------------------------
 
@@ -233,30 +187,15 @@ class Wsg50(Gripper):
         elif self._post is not None:
             self._post(Grasped(at_s=time.monotonic(), width_mm=width_mm))
 
-    async def _read(self, reader: asyncio.StreamReader) -> None:
-        try:
-            while data := await reader.read(4096):
-                for frame in self._parser.feed(data):
-                    self._route(frame)
-            self._lost = "the gripper closed the connection"
-        except OSError as error:
-            self._lost = f"connection lost: {error}"
-        for queue in self._waiting.values():
-            queue.put_nowait(Reply(0, Status.IO_ERROR))
-        self._fail("link", f"gripper: {self._lost}")
+    def _on_end(self, why: str) -> None:
+        self._fail("link", f"gripper: {why}")
 
-    def _route(self, frame: codec.Frame) -> None:
-        try:
-            reply = codec.decode_reply(frame)
-        except codec.WsgError:
-            return  # of another protocol: the waiting request times out
+    def _on_reply(self, reply: Reply) -> None:
         if reply.command == Command.GRASPING_STATE and reply.values:
             self._silence.heard(time.monotonic())
             self._on_state(float(reply.values[0]))
         if reply.command == Command.WIDTH and reply.values:
             self._on_width(float(reply.values[0]))
-        if reply.command in self._waiting:
-            self._waiting[reply.command].put_nowait(reply)
 
     def _on_state(self, value: float) -> None:
         if value not in tuple(GraspingState):

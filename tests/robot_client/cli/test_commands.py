@@ -12,7 +12,7 @@ from robot_client.cli.check import _check
 from robot_client.cli.home import _home
 from robot_client.cli.insert import _insert, make_plan
 from robot_client.cli.jog import _jog
-from robot_client.grippers.wsg50.driver import GripperError
+from robot_client.grippers.wsg50.link import GripperError
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.motion import Ramps
 from robot_client.ports import DriverError

@@ -8,7 +8,8 @@ from itertools import product
 import pytest
 
 from robot_client.grippers.wsg50.codes import GraspingState
-from robot_client.grippers.wsg50.driver import GripperError, Wsg50
+from robot_client.grippers.wsg50.driver import Wsg50
+from robot_client.grippers.wsg50.link import GripperError
 from robot_client.grippers.wsg50.settings import Settings
 from robot_client.insertion.events import Failure, Grasped, PartLost, Width
 from simulation.cell.emulators.faults import FaultBoard

@@ -18,8 +18,7 @@ def clock(monkeypatch):
 
 
 def receives(gripper, *frame):
-    for whole in gripper._parser.feed(codec.encode_reply(*frame)):
-        gripper._route(whole)
+    gripper._link.take(codec.encode_reply(*frame))
 
 
 @pytest.mark.parametrize(
