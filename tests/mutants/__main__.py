@@ -18,6 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import Queue
 
+from reporting.machine import commit
 from reporting.page import page, publish
 from reporting.statistics import wilson
 from reporting.table import table
@@ -126,9 +127,9 @@ def mutants_page(report: dict) -> str:
         with the 95 % Wilson interval.
 
         `make mutants` makes {report["count"]} random small changes (seed {report["seed"]}) to the modules that
-        decide, claim, detect slip and move. Each mutant runs against the fast tests of its own room only. The
-        tests were written before the seed was drawn, with samples of other seeds as a guide, so the figure is a
-        fair sample; tests that the survivors suggested came later.
+        decide, claim, detect slip and move, here at commit `{report["commit"][:8]}`. Each mutant runs against
+        the fast tests of its own room only. The tests were written before the seed was drawn, with samples of
+        other seeds as a guide, so the figure is a fair sample; tests that the survivors suggested came later.
 
         A mutation replaces a comparison by its opposite, an operator by its inverse, a truth value by the
         other, a whole number by the next one, or a constant by slightly more than one and a half times its
@@ -161,7 +162,7 @@ def report_of(seed: int, chosen: list[Mutant], survivors: list[Mutant], known: l
         rows.append(row | {"judged": known_as.get((change.module, change.before, change.after), UNJUDGED)})
     count, killed = len(chosen), len(chosen) - len(survivors)
     rooms = by_room(chosen, survivors)
-    return {"seed": seed, "count": count, "killed": killed, "rooms": rooms, "survivors": rows}
+    return {"seed": seed, "commit": commit(), "count": count, "killed": killed, "rooms": rooms, "survivors": rows}
 
 
 def main() -> int:
