@@ -277,8 +277,8 @@ class Attempt:
     def take_steps(self, card: ModelCard) -> list[NDArray[np.float32]]:
         """The steps of depth that the newest pair completes; the descent behind them begins at the onset."""
         pair, descent = self.ring[-1], self.descent
-        if self.stop_ns is not None and pair.captured_ns > self.stop_ns:
-            return []
+        if self.stop_ns is not None and min(one.captured_ns for one in pair.fingers) > self.stop_ns:
+            return []  # the pair with the frame that stopped the arm is still read, its later half, too
         if descent is not None:
             self.decision_pairs.append(pair)
             fresh = descent.add(pair)
