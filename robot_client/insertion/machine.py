@@ -84,7 +84,7 @@ def step(state: State, event: Event) -> Result:
 def _on_tick(state: State, event: Tick) -> Result:
     if state.phase is Phase.DESCENDING and event.at_s >= state.until_s + state.plan.pause_s:
         return unwatched(state, event.at_s)
-    if state.phase is Phase.DESCENDING and state.speeds and event.at_s >= state.speeds[0][0]:
+    if state.phase is Phase.DESCENDING and state.speeds and min(event.at_s, state.until_s) >= state.speeds[0][0]:
         return tell_speed(state)
     if event.at_s < state.deadline_s:
         return state, ()
