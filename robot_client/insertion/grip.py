@@ -44,6 +44,20 @@ def _on_grasped(state: State, event: Grasped) -> Result:
     return state, (send(wire.LearnOpen(insertion_id=state.plan.insertion_id, forget=True)), *commands)
 
 
+def forgotten(state: State, code: wire.FaultCode) -> str:
+    """What to do about open gels that could not be learnt if the gripper has forgotten its part; else "".
+
+    Gels that hold a part look like other gels than the calibrated ones; only the operator sees which of both it is.
+    """
+    if state.phase is not Phase.LEARNING or code != "open_gel":
+        return ""
+    apart = "its fingers" if state.width_mm is None else f"its fingers, {state.width_mm:.1f} mm apart,"
+    return (
+        f"; the gripper reports no part, as it also does after its client has left: if {apart} are on one,"
+        " put it back where it is gripped and open them (`home --live --direction outward`)"
+    )
+
+
 def _on_part_lost(state: State, event: PartLost) -> Result:
     if state.phase is Phase.CLOSING:  # it lies in its gap: releasing it is no loss
         return state, ()

@@ -46,7 +46,7 @@ from robot_client.insertion.events import (
     Tick,
     Width,
 )
-from robot_client.insertion.grip import grasp, on_gripper
+from robot_client.insertion.grip import forgotten, grasp, on_gripper
 from robot_client.insertion.lease import ClockMap
 from robot_client.insertion.limits import LimitError, check_correction
 from robot_client.insertion.state import Phase, Plan, State, Timeouts
@@ -84,7 +84,7 @@ def step(state: State, event: Event) -> Result:
 def _on_tick(state: State, event: Tick) -> Result:
     if state.phase is Phase.DESCENDING and event.at_s >= state.until_s + state.plan.pause_s:
         return unwatched(state, event.at_s)
-    if state.phase is Phase.DESCENDING and state.speeds and event.at_s >= state.speeds[0][0]:
+    if state.phase is Phase.DESCENDING and state.speeds and min(event.at_s, state.until_s) >= state.speeds[0][0]:
         return tell_speed(state)
     if event.at_s < state.deadline_s:
         return state, ()
@@ -189,7 +189,7 @@ _ON_ARRIVAL: dict[Phase, Callable[[State, Arrived], Result]] = {
 def _on_service(state: State, event: FromService) -> Result:
     message, at_s = event.message, event.at_s
     if isinstance(message, wire.Fault):  # of any insertion: a fault of the connection names none
-        return fail(state, "service", message.code, message.detail)
+        return fail(state, "service", message.code, message.detail + forgotten(state, message.code))
     if message.insertion_id != state.plan.insertion_id:
         detail = f"message of insertion {message.insertion_id}, expected {state.plan.insertion_id}"
         return fail(state, "service", "protocol", detail)

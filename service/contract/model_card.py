@@ -6,6 +6,7 @@ refused. The service refuses a model without a valid card, and two models whose 
 
 import math
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -21,6 +22,7 @@ UNTRAINED = "untrained"  # in ``training_run``: why an exported network is no be
 Sign = Literal[-1, 0, 1]
 Role = Literal["direction", "magnitude", "joint", "pair"]
 Positive = Annotated[float, Field(gt=0)]
+Threshold = Annotated[float, Field(gt=0, lt=15)]  # within the errors that are trained on, or a class has none of them
 
 
 CONDITIONS = ("gap_width_mm", "grasp_height_mm", "grip_n", "shear_reach_mm", "speed_mm_s", "frame_spacing_mm")
@@ -190,8 +192,8 @@ class ModelCard(Contract):
     state_size: int = Field(ge=0, default=0)
     reference_rule: Literal["first_of_sequence"] = "first_of_sequence"
     classes: tuple[ErrorClass, ...]
-    threshold_x_mm: Positive = 2.5
-    threshold_theta_deg: Positive = 5.0
+    threshold_x_mm: Threshold = 2.5
+    threshold_theta_deg: Threshold = 5.0
     gap_width_input: bool = False
     grasp_height_input: bool = False
     has_sigma: bool = False
@@ -214,8 +216,14 @@ class ModelCard(Contract):
             raise ValueError(f"a {self.role} network needs at least two classes")
         if len({c.name for c in self.classes}) != len(self.classes):
             raise ValueError("class names repeat")
+        if len({(c.sign_x, c.sign_theta) for c in self.classes}) != len(self.classes):
+            raise ValueError("classes: two have the same signs")
         if self.role == "joint" and (len(self.grid_x_mm) < 2 or len(self.grid_theta_deg) < 2):
             raise ValueError("a joint network needs grid_x_mm and grid_theta_deg")
+        if any(
+            not later > before for grid in (self.grid_x_mm, self.grid_theta_deg) for before, later in pairwise(grid)
+        ):
+            raise ValueError("grid_x_mm and grid_theta_deg must rise")
         if self.form == "step" and self.state_size == 0:
             raise ValueError("a step network needs a state_size")
         if self.pressing and (self.markers or self.frames_per_decision != self.pressing.steps_n):

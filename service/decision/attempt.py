@@ -35,13 +35,14 @@ class Stage(Enum):
 
 @dataclass(frozen=True, slots=True)
 class WorkResult:
-    """Result of the model thread: evidence or a refusal for one attempt, and the time it took."""
+    """Result of the model thread: evidence or a refusal for one attempt, the time it took, and the run it ended."""
 
     insertion_id: str
     generation: int
     evidence: Evidence | None
     refusal: Refusal | None
     latency_ms: dict[str, float]
+    run: DecisionRun | None = None
 
 
 def implausible_width(arm: Arm) -> str:
@@ -103,8 +104,9 @@ class Attempt:
         return self.slip_sent or self.stale_sent or bool(self.broken)
 
     def awaits(self, result: WorkResult) -> bool:
-        """Whether a result is of this attempt since it was armed, and not of one before or of another insertion."""
-        return (result.insertion_id, result.generation) == (self.arm.insertion_id, self.generation)
+        """Whether a result is of this attempt since it was armed, and of its present onset of motion."""
+        named = result.insertion_id, result.generation
+        return named == (self.arm.insertion_id, self.generation) and result.run is self.run
 
     def rearm(self, watch: FingerWatch, frame: TactileFrame) -> None:
         """Let the first frame of a finger captured after `arm` become the reference of its slip and onset."""
@@ -275,8 +277,8 @@ class Attempt:
     def take_steps(self, card: ModelCard) -> list[NDArray[np.float32]]:
         """The steps of depth that the newest pair completes; the descent behind them begins at the onset."""
         pair, descent = self.ring[-1], self.descent
-        if self.stop_ns is not None and pair.captured_ns > self.stop_ns:
-            return []
+        if self.stop_ns is not None and min(one.captured_ns for one in pair.fingers) > self.stop_ns:
+            return []  # the pair with the frame that stopped the arm is still read, its later half, too
         if descent is not None:
             self.decision_pairs.append(pair)
             fresh = descent.add(pair)

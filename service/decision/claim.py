@@ -183,8 +183,10 @@ def _shown(before: Observation, now: Observation, reference: PairObservation) ->
 
     A finger that felt the object by its markers or in the picture must still feel it by either. Where both showed its
     weight only, the markers must keep their share; where only the other finger felt it, nothing is asked of this one.
+    Where neither did, and one was not visible, both must feel it now.
     """
-    if before.feels:
+    felt = any(finger.feels for finger in reference.fingers)
+    if before.feels or not (felt or reference.looks_open):
         return now.felt, 1.0
     weighed = reference.looks_open and before.bulge is not None
     return now.bulge, WEIGHED_SHARE * (before.bulge or 0.0) if weighed else 0.0

@@ -57,11 +57,11 @@ def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work
             run.step(network_pair(models.card, pair))
             if not complete:
                 return None
-            return WorkResult(*named, run.evidence(), None, latencies(run, pair))
+            return WorkResult(*named, run.evidence(), None, latencies(run, pair), run)
         except Refusal as refusal:
-            return WorkResult(*named, None, refusal, {})
+            return WorkResult(*named, None, refusal, {}, run)
         except Exception as error:
-            return WorkResult(*named, None, Refusal("non_finite", f"the networks failed: {error}"), {})
+            return WorkResult(*named, None, Refusal("non_finite", f"the networks failed: {error}"), {}, run)
 
     return Work(compute)
 
@@ -91,11 +91,11 @@ def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
                 return None
             if problem is not None:
                 raise problem
-            return WorkResult(*named, run.evidence(), None, latencies(run, pair))
+            return WorkResult(*named, run.evidence(), None, latencies(run, pair), run)
         except Refusal as refusal:
-            return WorkResult(*named, None, refusal, {})
+            return WorkResult(*named, None, refusal, {}, run)
         except Exception as error:
-            return WorkResult(*named, None, Refusal("non_finite", f"the networks failed: {error}"), {})
+            return WorkResult(*named, None, Refusal("non_finite", f"the networks failed: {error}"), {}, run)
 
     return [Work(compute)] if steps or complete else []
 

@@ -25,6 +25,7 @@ from service.contract.frames import Contract
 from service.contract.refusals import describe, nearest
 from service.contract.toml import parse_toml
 from service.perception.lens import Lens, Projection, Warp, order_of
+from service.perception.markers.fingerprint import check_fingerprint
 
 SCHEMA_VERSION = 1
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -133,7 +134,11 @@ class Calibration:
         unknown = set(table) - {"schema_version", *FINGERS}
         if unknown:
             raise CalibrationError(f"{path}: {min(unknown)} is not used{nearest(min(unknown), FINGERS)}")
-        return cls(*(_camera(table, finger, path) for finger in FINGERS))
+        left, right = (_camera(table, finger, path) for finger in FINGERS)
+        if left.rectified != right.rectified:
+            sizes = " and ".join(f"{one.rectified.width_px} x {one.rectified.height_px}" for one in (left, right))
+            raise CalibrationError(f"{path} rectifies left and right to {sizes}; expected one size for both")
+        return cls(left, right)
 
     def save(self, path: str | Path) -> None:
         """Write the file that :meth:`load` reads back exactly."""
@@ -179,6 +184,7 @@ class _CameraTable(Contract):
     def measured(self) -> Measured | None:
         if self.date is None or self.residual_px is None or self.found_share is None:
             return None
+        check_fingerprint(self.fingerprint)
         return Measured(self.date, self.serial, self.residual_px, self.found_share, self.fingerprint)
 
 

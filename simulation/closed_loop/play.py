@@ -182,7 +182,8 @@ class Insertion:
         while self._skipped_n:
             self._skipped_n, attempt = self._skipped_n - 1, self.session.attempt
             if attempt is not None and attempt.result is None:
-                result = WorkResult(attempt.arm.insertion_id, attempt.generation, nothing_known(self.models), None, {})
+                named = attempt.arm.insertion_id, attempt.generation
+                result = WorkResult(*named, nothing_known(self.models), None, {}, attempt.run)
                 self._hear(self.session.on_result(result, now_ns))
 
     def _skip_networks(self, _: Work) -> None:

@@ -68,6 +68,12 @@ def likeness(one: str, other: str) -> float | None:
     return float((x * y).sum()) / size if size > 0 else None
 
 
+def check_fingerprint(text: str) -> None:
+    """Raise ValueError unless the text is a fingerprint, or empty: that of an unknown gel."""
+    if text:
+        _decoded(text)
+
+
 def _decoded(text: str) -> NDArray[np.int8]:
     try:
         coded = base64.b64decode(text, validate=True)

@@ -52,6 +52,7 @@ class SlideWitness:
         changes = [finger for finger in fingers if finger is not None]
         if len(changes) < max(2, len(fingers)):
             self._walks.clear()
+            self._changed = 0.0
             return None
         if any(map(operator.is_, changes, self._changes)):
             return None

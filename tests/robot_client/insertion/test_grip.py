@@ -28,3 +28,25 @@ def test_a_width_slightly_below_nothing_is_reported_as_nothing():
     ]
     state, (*_, arm) = run([*narrow[:-1], Width(at_s=0.0, width_mm=-0.03), narrow[-1]])
     assert (state.phase, arm.message.gripper_width_mm) == (Phase.ARMING, 0.0)
+
+
+OTHER_GEL = service(wire.Fault(insertion_id=ID, code="open_gel", detail="this is not the gel", fatal=False))
+
+
+@pytest.mark.parametrize(
+    ("width", "apart"), [([], "if its fingers are"), ([80.04], "if its fingers, 80.0 mm apart, are")]
+)
+def test_the_operator_is_told_that_a_forgotten_part_may_be_why_no_open_gel_is_seen(width, apart):
+    widths = [Width(at_s=0.0, width_mm=width_mm) for width_mm in width]
+    forgotten = TO_ARMING[0].model_copy(update={"held": False})
+    state, commands = run([forgotten, service(hello()), *widths, OTHER_GEL])
+    assert state.phase is Phase.FAILED
+    assert not any(command.kind == "grasp" for command in commands), "what is no open gel is not grasped"
+    assert state.reason.startswith("service: open_gel: this is not the gel; the gripper reports no part")
+    assert apart in state.reason
+    assert "home --live --direction outward" in state.reason
+
+
+def test_a_fault_after_the_grasp_says_nothing_of_a_forgotten_part():
+    state, _ = run([*TO_ARMING, OTHER_GEL])
+    assert state.reason == "service: open_gel: this is not the gel"

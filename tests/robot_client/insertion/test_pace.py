@@ -177,6 +177,20 @@ def test_after_a_pause_in_the_descent_the_next_speed_is_told_as_much_later():
     assert state.speeds[0][0] == pytest.approx(due_s + 0.2 - FAST.lasts_s(fast=True), abs=1e-3)
 
 
+def test_a_leg_that_is_due_while_the_arm_stands_is_told_when_the_arm_has_gone_on_and_reached_it():
+    state, _ = begun(FAST)
+    due_s, lasts_s = state.speeds[0][0], FAST.lasts_s(fast=True)
+    ends_s = due_s - 0.02
+    for seen_s in (0.5 * (ends_s - lasts_s), ends_s - lasts_s):
+        state, _ = step(state, service(watching(1, seen_s), seen_s))
+    assert state.until_s == pytest.approx(ends_s, abs=1e-3)
+    assert step(state, Tick(at_s=due_s + 0.01)) == (state, ()), "it stands short of the next leg"
+    state, (_, paused) = step(state, service(watching(1, due_s), due_s + 0.03))
+    assert paused.message.paused_s == pytest.approx(0.05, abs=1e-3)
+    _, (leg,) = step(state, Tick(at_s=due_s + 0.051))
+    assert (leg.message.speed_mm_s, leg.message.paused_s) == (10.0, 0.0)
+
+
 def blocked(plan, z_mm):
     """After the first attempt was stopped at a height, and corrected by -3 mm and -2 deg."""
     state, _ = begun(plan)

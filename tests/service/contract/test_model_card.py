@@ -41,6 +41,10 @@ def test_a_missing_card_says_how_to_make_one():
         ({"classes": []}, "two classes"),
         ({"state_size": 0}, "state_size"),
         ({"threshold_x_mm": -1.0}, "threshold_x_mm"),
+        ({"threshold_theta_deg": 15.0}, "threshold_theta_deg"),
+        ({"classes": [{"name": name, "sign_x": 1, "sign_theta": 0} for name in "12"]}, "two have the same signs"),
+        ({"role": "joint", "grid_x_mm": [1.0, 0.0], "grid_theta_deg": [0.0, 1.0]}, "must rise"),
+        ({"role": "joint", "grid_x_mm": [0.0, 1.0], "grid_theta_deg": [0.0, 0.0]}, "must rise"),
         ({"validation": {"accuracy": None}}, "validation.accuracy"),
     ],
 )

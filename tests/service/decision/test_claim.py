@@ -58,6 +58,16 @@ def test_one_finger_that_never_felt_the_object_may_go_on_feeling_nothing() -> No
     assert reasons(attempt) == []
 
 
+@pytest.mark.parametrize("right", [None, 0.7])
+def test_where_no_finger_showed_the_object_at_arming_both_must_feel_it_at_full_depth(right: float | None) -> None:
+    """As under a grip that hides the markers: that a finger was not known to be touched is no reason to ask less."""
+    attempt = descent(reference=pair(left=None, right=right))
+    assert reasons(attempt) == []
+    for left, reason in ((0.7, "not_held"), (None, "not_seen")):
+        attempt.ring.append(pair(left=left, right=0.7))
+        assert reasons(attempt) == [reason, "not_held"]
+
+
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [

@@ -1,6 +1,7 @@
 """Networks that read depth, in the service: it stops the arm when they have seen enough, and refuses by name."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import onnx
 import pytest
 
 from robot_client.insertion.state import State
-from service.contract import wire
+from service.contract import FramePair, wire
 from service.contract.model_card import Pressing, Span
 from service.decision import network_input
 from service.decision.attempt import Attempt
@@ -119,6 +120,23 @@ def test_a_press_until_slip_goes_on_after_what_the_networks_read(made: Callable[
     decided = next(one for one in replies if isinstance(one, wire.Correction))
     as_deep = next(one for one in usual if isinstance(one, wire.Correction))
     assert decided.estimate == as_deep.estimate
+
+
+@pytest.mark.parametrize("later", ["left", "right"])
+def test_the_pair_that_shows_the_slip_is_read_whichever_camera_is_the_later_one(made, monkeypatch, later: str) -> None:
+    show = Insertion._show
+
+    def skewed(insertion: Insertion, pair: FramePair, now_ns: int) -> None:
+        early = {
+            name: replace(one, captured_ns=one.captured_ns - 5_000_000)
+            for name, one in (("left", pair.left), ("right", pair.right))
+        }
+        show(insertion, replace(pair, **{name: one for name, one in early.items() if name != later}), now_ns)
+
+    monkeypatch.setattr(Insertion, "_show", skewed)
+    insertion, replies = first_attempt(made(), until_slip=True)
+    (slip,) = [message for message in replies if isinstance(message, wire.Slip)]
+    assert insertion.session.attempt.decision_pairs[-1].seq == slip.frame_seq
 
 
 def test_a_press_until_slip_ends_where_nothing_slips(made: Callable[..., ModelSet]) -> None:

@@ -3,11 +3,12 @@ import numpy as np
 import pytest
 
 from service.contract import ContractError, Sensor
-from service.perception.rectification import Calibration, CalibrationError, CameraCalibration, Rectifier
+from service.perception.rectification import Calibration, CalibrationError, CameraCalibration, Measured, Rectifier
 from tests.service.perception.synthetic import draw, grid
 
 SENSOR = Sensor.load()
 
+FINGERPRINT = "AQEAAA=="  # of a single marker in its place
 TRAPEZOID = cv2.getPerspectiveTransform(
     np.array([(20, 10), (407, 10), (320, 310), (107, 310)], np.float32),
     np.array([(0, 0), (326, 0), (326, 319), (0, 319)], np.float32),
@@ -48,13 +49,16 @@ def test_an_unusable_homography_is_refused(matrix):
         (lambda text: text.replace("raw_px = [427, 320]", "", 1), "raw_px: Field required"),
         (lambda text: text.replace(repr(float(TRAPEZOID[0, 0])), "nan"), "finite"),
         (lambda _: "a = [", "not valid TOML"),
+        (lambda text: text.replace("[327, 320]", "[320, 320]", 1), "left and right to 320 x 320 and 327 x 320"),
+        (lambda text: text.replace(FINGERPRINT, FINGERPRINT[:-1]), r"\[right\]: no fingerprint of a gel: 'AQEAAA='"),
     ],
 )
 def test_a_broken_file_is_refused_by_name(tmp_path, change, message):
     path = tmp_path / "c.toml"
+    measured = Measured("2026-01-01", "", 0.3, 1.0, FINGERPRINT)
     Calibration(
         CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified),
-        CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified),
+        CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified, measured=measured),
     ).save(path)
     path.write_text(change(path.read_text()))
     with pytest.raises(CalibrationError, match=message) as caught:

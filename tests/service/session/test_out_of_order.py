@@ -5,8 +5,11 @@ from dataclasses import replace
 import pytest
 
 from service.contract import TactileFrame, wire
+from service.contract.shipped import released_models
 from service.decision.attempt import WorkResult
 from service.decision.evidence import Refusal
+from service.decision.models import load_models
+from service.decision.work import Work
 from service.session.state_machine import InsertionSession
 from tests.service.decision.test_claim import PERIOD_NS
 from tests.service.session.at_rest import ID, PIXELS, S, arm, at_rest, descends, is_out_of_order, shows, stops
@@ -152,6 +155,22 @@ def test_a_late_result_of_another_insertion_is_no_evidence_here(session: Inserti
     assert session.on_result(WorkResult("another", 1, EVIDENCE, None, {}), 0) == []
     assert session.attempt is not None
     assert session.attempt.result is None
+
+
+def test_what_the_networks_say_late_of_a_motion_before_the_descent_is_no_answer_to_the_press() -> None:
+    """The object sags just before the arm goes down: that is dismissed, while the networks still work on it."""
+    session, works = at_rest(), list[Work]()
+    session.models, session.submit = load_models(released_models()), works.append
+    arm(session)
+    shows(session, 0)
+    session.left.sees = replace(session.left.sees, onset_ns=PERIOD_NS)
+    shows(session, 1)
+    descends(session, at_ns=PERIOD_NS + 1)
+    (sag,) = [result for work in works if (result := work.run())]
+    assert sag.refusal is not None
+    assert session.on_result(sag, PERIOD_NS + 2) == []
+    assert session.attempt is not None
+    assert (session.attempt.result, session.attempt.fed) == (None, False)
 
 
 def test_full_depth_is_claimed_by_a_pair_that_is_new_enough_and_by_that_alone(session: InsertionSession) -> None:

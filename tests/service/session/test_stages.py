@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from service.contract import wire
-from service.decision.attempt import Stage
+from service.decision.attempt import Stage, WorkResult
 from service.decision.held_tilt import HeldTilt
 from service.decision.models import ModelSet, load_models
 from service.session.factory import make_session
@@ -163,8 +163,7 @@ def test_the_first_answer_of_the_networks_counts_and_its_move_is_shown_once(sess
     session.on_command, session.on_attempt = moves.append, ended.append
     armed(session)
     assert session.attempt is not None
-    first: Any = SimpleNamespace(insertion_id=ID, generation=1, evidence=None, refusal=None, name="first")
-    second: Any = SimpleNamespace(insertion_id=ID, generation=1, evidence=None, refusal=None, name="second")
+    first, second = (WorkResult(ID, 1, None, None, {}) for _ in range(2))
     assert session.on_result(first, 0) == session.on_result(second, 0) == [], "the arm still moves"
     assert session.attempt.result is first
     (answer,) = session.handle(stopped(), 0)

@@ -117,6 +117,18 @@ def test_one_finger_alone_tells_no_slide():
     assert SlideWitness().update([ImprintChange(1.0, 1.0, 1.0, 3.0, 0.01, (0.1, 0.0))]) is None
 
 
+def test_a_slide_before_the_imprint_was_out_of_sight_counts_no_more():
+    """As between two attempts: a change counts from its second frame on, and the first one was of another motion."""
+
+    def one_change():
+        return [ImprintChange(1.0, 1.0, 0.2, 3.0, 0.03, (0.03, 0.0)) for _ in range(2)]
+
+    witness, fresh = SlideWitness(), SlideWitness()
+    assert [witness.update(one_change()) for _ in range(3)][-1] >= 0
+    assert witness.update([None, *one_change()[1:]]) is None
+    assert witness.update(one_change()) == fresh.update(one_change()) < 0
+
+
 def test_frames_close_in_time_are_looked_at_once():
     rng, tracker, watch = np.random.default_rng(3), MarkerTracker(), ImprintWatch()
     changes = []
