@@ -125,11 +125,6 @@ class MotionGuide:
         """True while the target moves."""
         return self._profile is not None
 
-    @property
-    def motion(self) -> Motion:
-        """Kind of the move under way or of the last one."""
-        return self._motion
-
     def move(self, end: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
         """Begin a straight move to ``end``; raises LimitError and changes nothing if the end is not allowed.
 

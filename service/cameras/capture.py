@@ -93,7 +93,7 @@ class Camera:
         self.state: State = "starting"
         self.latest: CameraFrame | None = None
         self.newest_ns: int | None = None
-        self.frames_n = self.repeated_n = 0
+        self.frames_n = 0
         self._broken_n = self._skipped_n = self._same_n = 0
         self._picture: bytes | NDArray[np.uint8] = b""
         self.shape: tuple[int, ...] | None = None
@@ -149,10 +149,8 @@ class Camera:
 
     def _publish(self, capture: Capture) -> None:
         if self.newest_ns is not None and capture.captured_ns <= self.newest_ns:
-            self.repeated_n += 1
             return
         if self._repeats(capture):
-            self.repeated_n += 1
             self._same_n += 1
             return
         self._same_n = 0

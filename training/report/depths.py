@@ -15,7 +15,7 @@ from reporting.statistics import number, wilson
 from reporting.table import Table, table
 from service.contract import ContractError
 from training.config import RunConfig
-from training.data.dataset import Source, open_source
+from training.data.dataset import open_source
 from training.data.faults import SHIFTS
 from training.data.labels import CLASSES
 from training.data.pressed import Pressed
@@ -37,7 +37,7 @@ UNTOLD = (1, 2, 3)
 """Conditions of `CONDITIONS` that a cell need not know: grasp height, grip and shear reach."""
 
 
-def write_depths(run: Path, out: Path, source: Source | None = None) -> Path:
+def write_depths(run: Path, out: Path) -> Path:
     """Write ``<out>/depths.md`` and ``.json`` of a finished run; ContractError if it is none, or reads no depth."""
     try:
         config = RunConfig.model_validate_json((run / "config.json").read_text())
@@ -45,14 +45,14 @@ def write_depths(run: Path, out: Path, source: Source | None = None) -> Path:
         raise ContractError(f"{run} is not the folder of a training run: no valid config.json") from error
     checkpoint = Checkpoint.load(run / "checkpoint.pt")
     torch.set_num_threads(config.threads)
-    samples = load(config.data, config.network.kind, source)
+    samples = load(config.data, config.network.kind)
     if not isinstance(samples, Pressed):
         raise ContractError(f"{run} holds a {config.network.kind} network, expected one that reads steps of depth")
     trainer = Trainer(config, samples, checkpoint.build(), torch.ones(len(CLASSES)), torch.zeros(2, 3))
     data: dict[str, Any] = {"depths": by_depth(trainer, checkpoint), "sure": by_sureness(trainer, checkpoint)}
     data["reach"] = by_reach(trainer, checkpoint)
-    limit = oracle_rows(source or open_source(config.data.path), run / "oracle")
-    data["cameras"] = by_camera(trainer, checkpoint.scales, source or open_source(config.data.path))
+    limit = oracle_rows(open_source(config.data.path), run / "oracle")
+    data["cameras"] = by_camera(trainer, checkpoint.scales, open_source(config.data.path))
     data["limit"] = {f"{split}, true motion": limit[f"{split}/all"] for split in HELD if f"{split}/all" in limit}
     if checkpoint.pressing and checkpoint.pressing.strangeness_limit:
         data["strange"] = faulty_inputs(trainer, checkpoint.pressing.strangeness_limit)

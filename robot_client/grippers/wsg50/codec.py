@@ -187,8 +187,6 @@ class StreamParser:
     On failure only one byte is dropped, not the claimed length, so a damaged length hides no later frame.
     """
 
-    skipped_bytes: int = 0
-    crc_errors: int = 0
     _buffer: bytearray = field(default_factory=bytearray)
 
     def feed(self, data: bytes) -> list[Frame]:
@@ -197,7 +195,6 @@ class StreamParser:
         return list(self._frames())
 
     def _skip(self, count: int) -> None:
-        self.skipped_bytes += count
         del self._buffer[:count]
 
     def _seek(self) -> bool:
@@ -226,7 +223,6 @@ class StreamParser:
             body = bytes(self._buffer[:end])
             (crc,) = _TRAILER.unpack_from(self._buffer, end)
             if crc != crc16(body):
-                self.crc_errors += 1
                 self._skip(1)
                 continue
             del self._buffer[: end + _TRAILER.size]

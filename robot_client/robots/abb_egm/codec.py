@@ -61,12 +61,11 @@ class RobotState:
 
 @dataclass(frozen=True, slots=True)
 class Guidance:
-    """One EgmSensor message: a position target, a joint target or a speed reference (mm/s, deg/s)."""
+    """One EgmSensor message: a position target or a speed reference (mm/s, deg/s)."""
 
     sequence: int
     time_ms: int = 0
     pose: Pose | None = None
-    joints_deg: tuple[float, ...] = ()
     speed: tuple[float, ...] = ()
 
 
@@ -133,9 +132,6 @@ def encode_guidance(guidance: Guidance) -> bytes:
     message.header.mtype = pb.EgmHeader.MSGTYPE_CORRECTION
     if guidance.pose is not None:
         _put_pose(message.planned.cartesian, _checked("target pose", guidance.pose))
-    if guidance.joints_deg:
-        _check_finite("target joints", guidance.joints_deg)
-        message.planned.joints.joints.extend(guidance.joints_deg)
     if guidance.speed:
         _check_finite("speed reference", guidance.speed)
         message.speedRef.cartesians.value.extend(guidance.speed)
@@ -146,12 +142,11 @@ def decode_guidance(datagram: bytes) -> Guidance:
     """Read EgmSensor bytes (the controller's side); raises EgmError."""
     message = pb.EgmSensor()
     _parse(message, datagram)
-    joints = tuple(message.planned.joints.joints)
     speed = tuple(message.speedRef.cartesians.value)
-    _check_finite("joints or speed", (*joints, *speed))
+    _check_finite("speed", speed)
     has_pose = message.planned.cartesian.HasField("pos")
     pose = _get_pose(message.planned.cartesian, "target pose") if has_pose else None
-    return Guidance(message.header.seqno, message.header.tm, pose, joints, speed)
+    return Guidance(message.header.seqno, message.header.tm, pose, speed)
 
 
 def encode_robot(state: RobotState) -> bytes:

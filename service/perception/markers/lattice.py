@@ -116,14 +116,14 @@ def lattice_basis(points: FloatArray, like: FloatArray | None = None) -> FloatAr
     return np.array(basis, np.float32)
 
 
-def find_lattice(image: NDArray[np.uint8], diameters_px: tuple[float, ...] = DIAMETERS_PX) -> Lattice | None:
+def find_lattice(image: NDArray[np.uint8]) -> Lattice | None:
     """The marker grid of a frame at the best-fitting scale, or None if there is none of at least 5 x 5.
 
     The grid's columns must run within 40 deg of the image's, which must be at least 32 px wide and high. Takes about 40
     ms; run it once per recording.
     """
     best: Lattice | None = None
-    for diameter in diameters_px if min(image.shape[:2]) >= _LEAST_PX else ():
+    for diameter in DIAMETERS_PX if min(image.shape[:2]) >= _LEAST_PX else ():
         shrink = max(1, int(diameter / 6))
         detected = _at_scale(image, diameter, shrink)
         if detected is not None and (best is None or _merit(detected) > _merit(best)):

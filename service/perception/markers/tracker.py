@@ -49,8 +49,8 @@ class MarkerTracker:
     repeated or late stamp "duplicate". A frame that is no uint8 image or changes size raises ValueError.
     """
 
-    def __init__(self, settings: TrackerSettings | None = None) -> None:
-        self.settings = settings or TrackerSettings()
+    def __init__(self) -> None:
+        self.settings = TrackerSettings()
         self.reset()
 
     def reset(self) -> None:
@@ -65,11 +65,6 @@ class MarkerTracker:
         self._last_ns: int | None = None
         self._last_image: NDArray[np.uint8] | None = None
         self._last_field: MarkerField | None = None
-
-    @property
-    def grid_shape(self) -> tuple[int, int] | None:
-        """(rows, cols) of the grid, None before it was found."""
-        return None if self._lattice is None else (self._lattice.detected.shape[0], self._lattice.detected.shape[1])
 
     def update(self, image: NDArray[np.uint8] | None, captured_ns: int) -> MarkerField:
         """Track one rectified frame, uint8 [height, width, 3] BGR or [height, width]; None stands for a missing one."""

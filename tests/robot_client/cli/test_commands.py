@@ -144,14 +144,6 @@ def test_without_live_nothing_is_connected(capsys):
     assert capsys.readouterr().out.count("DRY RUN") == 2
 
 
-@pytest.mark.parametrize("command", ["", "insert", "check", "home", "jog", "replay"])
-def test_help_fits_80_columns(command, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "80")
-    with pytest.raises(SystemExit):
-        main([*command.split(), "--help"])
-    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "expect"),
     [
@@ -251,30 +243,6 @@ def test_home_refuses_to_drop_a_part_and_acknowledges_only_on_request(capsys):
             return await _home(cell.settings, acknowledge=True, direction="outward")
 
     assert asyncio.run(story()).done
-
-
-def test_a_grasp_out_of_the_grippers_range_is_refused_before_it_is_sent():
-    async def story():
-        async with bench(holding=False, overrides={"gripper": {"force_limit_n": 200.0}}) as cell:
-            state = await cell.insert()
-            assert "GRASP" not in cell.wsg.counters.commands
-            return state
-
-    state = asyncio.run(story())
-    assert "force_limit_n = 200" in state.reason
-
-
-def test_the_gripper_driver_recovers_from_garbage_between_frames():
-    async def story():
-        async with bench() as cell:
-            gripper = cell.settings.make_gripper()
-            await gripper.connect()
-            cell.board.update({"wsg": {"garbage_next": 5}})
-            widths = [await gripper.width_mm() for _ in range(5)]
-            await gripper.close()
-            return widths
-
-    assert asyncio.run(story()) == pytest.approx([50.0] * 5)
 
 
 def test_the_configuration_in_the_readme_is_valid_and_is_the_default(tmp_path):

@@ -124,6 +124,9 @@ def test_after_a_stand_a_step_begins_from_rest():
         ((1, 0.0, 16.01, 0.0), "dtheta_deg"),
         ((1, 0.0, -16.01, 0.0), "dtheta_deg"),
         ((1, 0.0, 0.0, 5.01), "age_s"),
+        ((1, math.nan, 0.0, 0.0), "dx_mm"),
+        ((1, 0.0, math.inf, 0.0), "dtheta_deg"),
+        ((1, 0.0, 0.0, math.nan), "age_s"),
         ((16, 0.0, 0.0, 0.0), "attempt"),
     ],
 )
@@ -156,7 +159,7 @@ def test_a_plan_takes_what_the_message_to_the_service_takes(name):
         (Pace, "below_mm", (3.0,), (2.99,)),
         (Pace, "lift_mm", (2.0, None), (1.99,)),
         (Pace, "press_mm", (0.6, 3.0), (0.59, 3.01)),
-        (Pace, "fast_mm_s", (0.01, None), (0.0,)),
+        (Pace, "fast_mm_s", (0.01, None), (0.0, math.nan)),
         (Limits, "max_attempts", (1, MAX_ATTEMPTS), (0, MAX_ATTEMPTS + 1)),
         (Limits, "max_tilt_deg", (0.01, 5.0), (0.0, 5.01)),
         (Plan, "creep_allowance_mm", (0.0, 50.0), (-0.1, 50.1)),

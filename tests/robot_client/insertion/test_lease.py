@@ -65,11 +65,6 @@ def test_a_frame_that_comes_late_or_twice_renews_nothing(captured_s):
     assert (after, commands) == (state, ())
 
 
-def test_a_stamp_from_the_future_renews_nothing():
-    state, _ = descending()
-    assert step(state, service(watching(1, 7.0), 0.05)) == (state, ())
-
-
 @pytest.mark.parametrize(("pause_s", "late_s"), [(0.0, 0.005), (PAUSE_S, PAUSE_S + 0.01)])
 def test_a_lease_that_ended_too_long_ago_is_not_renewed_by_a_fresh_frame(pause_s, late_s):
     state, _ = descending(pause_s)

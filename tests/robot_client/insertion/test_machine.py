@@ -73,14 +73,6 @@ def test_the_gripper_s_width_and_since_when_the_arm_stands_go_with_the_messages_
     assert next(c.message.still_s for c in commands if isinstance(c, Send) and c.message.type == "stopped") == stated_s
 
 
-def test_what_keeps_full_depth_from_being_confirmed_is_the_reason_of_the_failure():
-    doubt = wire.Doubt(reason="push", detail="the gels still carry a push")
-    ended = wire.Finished(insertion_id=ID, outcome="not_confirmed", attempts=1, cause="not_confirmed", doubts=(doubt,))
-    state, _ = run([*TO_FULL_DEPTH, service(ended)])
-    assert state.phase is Phase.FAILED
-    assert state.reason == "service: not_confirmed: full depth was reached, but the gels still carry a push"
-
-
 @pytest.mark.parametrize("attempts_n", [1, 3])
 def test_an_object_that_turned_on_its_way_in_is_taken_afresh_while_attempts_are_left(attempts_n):
     limits = PLAN.limits.model_copy(update={"max_attempts": attempts_n})

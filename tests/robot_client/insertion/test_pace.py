@@ -1,7 +1,6 @@
 """Two speeds in one descent, and no higher between attempts than the move needs: no bound in mm is given up for it."""
 
 import itertools
-import math
 from dataclasses import replace
 
 import pytest
@@ -10,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_client.insertion.events import Move, Send, Standstill, Tick
 from robot_client.insertion.lease import PAUSE_S
-from robot_client.insertion.limits import LimitError, Limits
+from robot_client.insertion.limits import Limits
 from robot_client.insertion.machine import Phase, State, step
 from robot_client.insertion.motion import CYCLE_S, MotionGuide, Ramp, Ramps
 from robot_client.insertion.pace import Pace, Tops
@@ -121,11 +120,6 @@ def test_what_ships_is_slow_only_around_the_tops_and_keeps_its_lease_on_every_le
         assert speed * (move.until_s + plan.lease.stop_lag_s) <= 1.5 + 1e-9
 
 
-def test_an_arm_that_cannot_stand_and_go_on_probes_all_the_way():
-    _, commands = begun(FAST.model_copy(update={"pause_s": 0.0}))
-    assert descent(commands).legs == ()
-
-
 @given(st.floats(0.1, 90.0), st.floats(0.0, 300.0), st.floats(5.0, 200.0))
 def test_a_move_turns_no_faster_than_55_deg_a_second(turn_deg, way_mm, speed_mm_s):
     ramps = Ramps(travel=Ramp(speed_mm_s=speed_mm_s, acceleration_mm_s2=300.0, jerk_mm_s3=5000.0))
@@ -141,19 +135,6 @@ def test_a_pace_beyond_limits_or_lease_moves_nothing(pace):
     state, commands = run(TO_ARMING[:1], State(FAST.model_copy(update={"pace": pace})))
     assert state.phase is Phase.FAILED
     assert not [c for c in commands if isinstance(c, Move)]
-
-
-LEAST = {"lift_mm": 2.0, "above_mm": 1.0, "below_mm": 3.0, "press_mm": 0.6}
-
-
-@pytest.mark.parametrize("values", [{name: least - 0.01} for name, least in LEAST.items()] + [{"fast_mm_s": math.nan}])
-def test_a_band_or_a_lift_too_small_for_what_is_not_known_is_refused(values):
-    with pytest.raises(ValueError, match=next(iter(values))):
-        Pace(**values)
-
-
-def test_the_least_band_and_lift_that_cover_what_is_not_known_are_taken():
-    assert Pace(**LEAST).model_dump(include=set(LEAST)) == LEAST
 
 
 def test_the_service_is_told_each_speed_when_its_leg_begins():
@@ -230,13 +211,6 @@ def test_no_leg_is_so_short_that_it_might_lead_up_from_where_the_arm_settled(off
     legs = pace.legs(start.z_mm + off_mm, APPROACH.z_mm - 25.0, 4.0, Tops(TOPS_MM, TOPS_MM))
     assert [speed for _, speed in legs] == [4.0, 10.0]
     MotionGuide(FAST.limits, FAST.ramps, start).move(start.at_height(APPROACH.z_mm - 25.0), "descend", 1.0, legs)
-
-
-def test_legs_that_lead_up_are_refused():
-    start = APPROACH.at_height(TOPS_MM)
-    legs = ((TOPS_MM + 0.1, 4.0), (TOPS_MM - 5.0, 10.0))
-    with pytest.raises(LimitError, match="expected each one to lead down"):
-        MotionGuide(FAST.limits, FAST.ramps, start).move(start.at_height(TOPS_MM - 5.0), "descend", 1.0, legs)
 
 
 def test_after_a_regrasp_the_arm_is_slow_where_the_tops_were_met():

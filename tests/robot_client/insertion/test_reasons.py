@@ -235,15 +235,6 @@ def test_an_insertion_closed_early_failed_by_what_the_service_says():
     assert state.reason == "service: finished: the service closed the insertion: inserted"
 
 
-@pytest.mark.parametrize(("gels", "good"), [({}, True), ({"left": "a"}, True), ({"left": "b"}, False)])
-def test_a_gel_that_was_not_commissioned_moves_nothing(gels, good):
-    camera = wire.CameraEntry(finger="left", source="s", state="live", frame_rate_hz=60.0, gel="a")
-    plan = PLAN.model_copy(update={"gels": gels})
-    state, _ = run([TO_ARMING[0], service(hello(cameras=(camera,)))], State(plan))
-    assert (state.phase is Phase.GRASPING) == good
-    assert good or "the left gel is not the one that this cell was commissioned with" in state.reason
-
-
 @pytest.mark.parametrize(
     ("fast_mm_s", "pause_s", "rate_hz", "fast"),
     [(15.0, PAUSE_S, 60.0, True), (15.0, 0.0, 60.0, False), (None, PAUSE_S, 60.0, False), (15.0, PAUSE_S, 30.0, False)],

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_client.cli.insert import with_commissioning
-from robot_client.insertion.events import Move, Send, Standstill
+from robot_client.insertion.events import Move, Send
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.lease import Lease
 from robot_client.insertion.state import REFUSED, Phase, State
@@ -29,7 +29,6 @@ from tests.robot_client.insertion.stories import (
     PLAN,
     TO_ARMING,
     TO_DECISION,
-    TO_DESCENT,
     at,
     correction,
     hello,
@@ -58,21 +57,6 @@ def test_a_probe_is_decided_where_a_single_attempt_is_allowed():
     plan = PROBE.plan.model_copy(update={"limits": PLAN.limits.model_copy(update={"max_attempts": 1})})
     state, _ = run([*TO_DECISION, service(correction(1)), at(APPROACH)], State(plan))
     assert state.phase is Phase.PROBED
-
-
-def test_a_probe_that_goes_in_comes_up_again_and_claims_nothing():
-    bottom = APPROACH.at_height(APPROACH.z_mm - PLAN.expected_depth_mm)
-    state, commands = run([*TO_DESCENT, at(bottom), at(bottom, Standstill), at(APPROACH)], PROBE)
-    assert state.phase is Phase.PROBED
-    assert "stopped" not in {c.message.type for c in commands if isinstance(c, Send)}
-
-
-@pytest.mark.parametrize(("purpose", "until_slip"), [("probe", True), ("insert", False)])
-def test_only_a_probe_is_ever_pressed_until_slip(purpose, until_slip):
-    plan = PLAN.model_copy(update={"purpose": purpose, "until_slip": True})
-    _, commands = run(TO_DESCENT, State(plan))
-    (arm,) = (c.message for c in commands if isinstance(c, Send) and isinstance(c.message, wire.Arm))
-    assert arm.until_slip == until_slip
 
 
 @given(st.integers(0, 2**31), st.integers(0, 500))

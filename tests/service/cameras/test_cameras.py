@@ -140,7 +140,7 @@ def test_a_picture_that_comes_again_and_again_is_a_frozen_camera(kind: str) -> N
     camera = Camera("left", PushSource(), frames.append, lambda _, code, detail: faults.append((code, detail)))
     for capture in still(kind, 20):
         camera._publish(capture)
-    assert (len(frames), camera.repeated_n, camera.state) == (1, 19, "live")
+    assert (len(frames), camera.state) == (1, "live")
     camera.check_stall(600_000_000)
     camera.check_stall(900_000_000)
     assert faults == [("camera_frozen", "the same picture 20 times for 0.5 s from push:")]
@@ -155,7 +155,6 @@ def test_a_stamp_that_does_not_advance_is_no_new_frame() -> None:
     for stamp_ns, grey in ((5, 1), (5, 2), (4, 3), (6, 4)):
         camera._publish(Capture(stamp_ns, np.full((8, 9, 3), grey, np.uint8)))
     assert [(f.frame.captured_ns, int(f.frame.pixels[0, 0, 0])) for f in frames] == [(5, 1), (6, 4)]
-    assert camera.repeated_n == 2
 
 
 def test_a_source_that_fails_is_tried_again_four_times_a_second() -> None:

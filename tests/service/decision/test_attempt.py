@@ -124,11 +124,6 @@ def watched(attempt: Attempt, *shown: Observation) -> list[tuple[int, int]]:
     return [(answer.frame_captured_ns, answer.judged_ns) for answer in answers]
 
 
-def test_what_is_watched_is_dated_by_the_finger_that_is_further_behind() -> None:
-    shown = [at("left", 1010), at("left", 1020), at("right", 1015), at("right", 1025), at("right", 1025)]
-    assert watched(armed(), *shown) == [(1015, 1022), (1020, 1032)]
-
-
 def test_one_finger_and_frames_that_say_nothing_are_not_watching() -> None:
     attempt = armed()
     assert watched(attempt, at("left", 1010), at("left", 1020)) == []
@@ -158,24 +153,3 @@ def test_motion_began_when_the_first_finger_saw_it_and_stays_at_that(
     assert (len(attempt.pushes), len(attempt.ring)) == (1, 2)
     attempt.take_in(both(1020, 1020, onset_ns=1))
     assert attempt.onset_ns == (onset_ns or 1)
-
-
-def test_the_first_pair_that_moves_is_the_first_whose_newer_frame_is_of_the_onset_or_later() -> None:
-    attempt = armed()
-    assert attempt.onset_index() is None
-    for left_ns, right_ns in ((1010, 1012), (1020, 1022), (1030, 1032)):
-        attempt.take_in(both(left_ns, right_ns))
-    indices = []
-    for attempt.onset_ns in (1012, 1013, 1032, 1033):
-        indices.append(attempt.onset_index())
-    assert indices == [1, 2, 3, None]
-
-
-def test_frames_after_the_one_that_stopped_the_arm_complete_no_step() -> None:
-    added, attempt, no_card = list[int](), armed(), SimpleNamespace()
-    attempt.descent = SimpleNamespace(add=lambda pair: [added.append(pair.captured_ns)])  # type: ignore[assignment]
-    attempt.stops(1020)
-    for captured_ns in (1020, 1021):
-        attempt.take_in(both(captured_ns, captured_ns))
-        attempt.take_steps(no_card)  # type: ignore[arg-type]
-    assert added == [1020]

@@ -87,11 +87,6 @@ def test_one_thing_that_is_wrong_is_a_doubt(changes: dict[str, object], reason: 
     assert reason in reasons(descent(**changes))
 
 
-def test_a_doubt_says_by_how_much() -> None:
-    (doubt,) = doubts(descent(gripper_width_mm=47.0), GraspRecord(width_mm=50.0))
-    assert (doubt.value, doubt.bound) == (3.0, 1.0)
-
-
 @pytest.mark.parametrize(("left", "reason"), [(0.9, "not_held"), (None, "not_seen")])
 def test_a_finger_that_feels_nothing_any_more_or_does_not_tell_is_a_doubt(left: float | None, reason: str) -> None:
     attempt = descent()
@@ -165,11 +160,6 @@ def test_a_stiff_gel_whose_markers_hardly_move_shows_a_held_object_in_its_pictur
 
 def weighed(both: PairObservation, left: float | None, right: float | None) -> PairObservation:
     return PairObservation(replace(both.left, weight=left), replace(both.right, weight=right))
-
-
-@pytest.mark.parametrize(("left", "right", "held"), [(1.2, 1.1, True), (3.0, 0.9, False), (None, 3.0, False)])
-def test_stiff_gels_hold_what_both_carry_the_weight_of(left: float | None, right: float | None, held: bool) -> None:
-    assert bool(nothing_held(weighed(pair(left=0.7, right=0.6), left, right))) != held
 
 
 def test_what_only_its_weight_has_shown_must_still_be_half_there_at_full_depth() -> None:

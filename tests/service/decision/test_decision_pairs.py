@@ -10,20 +10,17 @@ import pytest
 
 from service.contract import wire
 from service.decision import attempt as under_test
-from service.decision.attempt import Attempt, Stage, WorkResult, implausible_width, nothing_held
+from service.decision.attempt import Attempt, Stage, implausible_width, nothing_held
 from service.decision.controllers import Command
 from service.decision.evidence import Evidence, Refusal
 from service.decision.work import (
     arrays_of,
     correction,
-    decide_again,
     enough_message,
     latencies,
-    plan_steps,
     plan_work,
     read_by_depth,
 )
-from service.perception.markers.field import empty_field
 from service.perception.observation import PairObservation
 from tests.service import tiny_models
 from tests.service.decision.test_claim import descent, pair
@@ -61,12 +58,6 @@ def test_a_decision_rests_on_pairs_from_the_onset_on_and_its_reference_is_the_fi
         fresh = attempt.take_decision_pairs(8)
         assert [one.seq for one in fresh] == ([number] if number < onset + 8 else [])
     assert [one.seq for one in attempt.decision_pairs] == list(range(onset, onset + 8))
-
-
-def test_of_many_pairs_since_the_onset_no_more_are_taken_than_the_networks_read() -> None:
-    attempt = moving(20, 2)
-    assert [one.seq for one in attempt.take_decision_pairs(8)] == list(range(2, 10))
-    assert attempt.take_decision_pairs(8) == []
 
 
 @pytest.mark.parametrize("onset", [None, 9])
@@ -128,16 +119,6 @@ def test_what_is_kept_of_a_decision_is_its_pairs_and_the_markers_of_the_last_one
     assert arrays["valid"].all()
 
 
-@pytest.mark.parametrize(
-    ("change", "spoilt"),
-    [({}, False), ({"slip_sent": True}, True), ({"stale_sent": True}, True), ({"broken": "left is gone"}, True)],
-)
-def test_a_reference_is_no_longer_valid_after_any_order_to_stop_or_a_cameras_fault(
-    change: dict[str, Any], spoilt: bool
-) -> None:
-    assert descent(**change).spoilt == spoilt
-
-
 @pytest.mark.parametrize(("width_mm", "held"), [(None, True), (2.0, True), (1.99, False), (0.0, False)])
 def test_fingers_two_millimetres_apart_may_hold_something(width_mm: float | None, held: bool) -> None:
     arm = wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0, gripper_width_mm=width_mm)
@@ -151,25 +132,6 @@ def test_an_object_that_only_its_weight_shows_weighs_on_both_gels(left: Any, rig
     both = pair(left=0.5, right=0.5)
     both = PairObservation(replace(both.left, weight=left), replace(both.right, weight=right))
     assert (nothing_held(both) == "") == held
-
-
-@pytest.mark.parametrize(
-    ("left", "right", "problem"), [(1, 1, ""), (0, 1, "left: no markers"), (1, 0, "right: no markers")]
-)
-def test_an_arming_waits_for_a_pair_of_which_both_frames_can_be_read(left: int, right: int, problem: str) -> None:
-    attempt = descent(stage=Stage.ARMING, reference=None, rearmed={"left", "right"})
-    attempt.ring.clear()
-    both, unread = at(7), empty_field(0, "no_grid", "no markers")
-    for one, good in zip(both.fingers, (left, right), strict=True):
-        attempt.unread(one if good else replace(one, field=unread))
-    assert attempt.problem == problem
-    answer = attempt.take_reference(both)
-    assert (answer is None) == bool(problem)
-    if isinstance(answer, wire.Armed):
-        assert (answer.reference_seq, answer.frame_captured_ns) == (7, 7 * PERIOD_NS)
-        assert [one.seq for one in attempt.ring] == [7]
-        attempt.unread(replace(both.left, field=unread))
-        assert (attempt.problem, attempt.rearmed) == ("", {"left", "right"}), "once armed it stays so"
 
 
 class Run:
@@ -190,21 +152,6 @@ class Run:
         return Evidence(tiny_models.CLASSES, np.full(9, 1 / 9), (1.0, 1.0))
 
 
-def test_only_the_last_pair_of_a_decision_brings_its_result() -> None:
-    models: Any = SimpleNamespace(card=tiny_models.card("direction", "step", frames_per_decision=3))
-    attempt = descent(decision_pairs=[at(1), at(2), at(3)], run=Run(), generation=4)
-    first, last = (plan_work(models, attempt, attempt.decision_pairs[index]) for index in (0, 2))
-    assert first.run() is None
-    result = last.run()
-    assert isinstance(result, WorkResult)
-    assert (result.insertion_id, result.generation, result.refusal) == ("one", 4, None)
-    assert result.latency_ms == {"networks_last_step": 2.0}
-    assert attempt.fed
-    early = descent(decision_pairs=[at(1), at(2)], run=Run())
-    assert plan_work(models, early, early.decision_pairs[-1]).run() is None, "it is the newest one, and not enough"
-    assert not early.fed
-
-
 @pytest.mark.parametrize("fault", [Refusal("out_of_distribution", "strange"), RuntimeError("broken")])
 def test_networks_that_fail_are_a_refusal_of_this_attempt(fault: Exception) -> None:
     models: Any = SimpleNamespace(card=tiny_models.card("direction", "step", frames_per_decision=1))
@@ -215,37 +162,6 @@ def test_networks_that_fail_are_a_refusal_of_this_attempt(fault: Exception) -> N
     assert result.refusal is not None
     expected = ("out_of_distribution", "strange"), ("non_finite", "the networks failed: broken")
     assert (result.refusal.reason, str(result.refusal)) in expected
-
-
-@pytest.mark.parametrize(
-    ("change", "complete"),
-    [
-        ({}, False),
-        ({"stage": Stage.STOPPED}, True),
-        ({"slip_sent": True}, True),
-        ({"problem": Refusal("out_of_distribution", "too fast")}, True),
-        ({"enough": True, "felt": True}, True),
-    ],
-)
-def test_steps_of_depth_are_answered_once_there_are_enough_or_no_more_will_come(
-    monkeypatch: pytest.MonkeyPatch, change: dict[str, Any], complete: bool
-) -> None:
-    """Of seven steps the card reads four."""
-    monkeypatch.setattr(under_test, "Descent", Depth)
-    pressing: Any = SimpleNamespace(steps_n=4)
-    models: Any = SimpleNamespace(card=SimpleNamespace(pressing=pressing))
-    attempt = moving(9, 2)
-    attempt.stage, attempt.run = Stage.ARMED, Run()  # type: ignore[assignment]
-    for name, value in change.items():
-        monkeypatch.setattr(attempt if name in {"stage", "slip_sent"} else Depth, name, value)
-    (work,) = plan_steps(models, attempt)
-    result = work.run()
-    assert [float(step.flat[0]) for step in attempt.run.shown] == [2.0, 3.0, 4.0, 5.0]  # type: ignore[union-attr]
-    assert (result is not None) == attempt.fed == complete
-    if isinstance(result, WorkResult):
-        assert (result.refusal is None) == ("problem" not in change)
-    attempt.ring.append(at(9))
-    assert plan_steps(models, attempt) == [], "the networks have all that they read"
 
 
 def test_a_stage_that_only_one_finger_went_through_took_as_long_as_there() -> None:
@@ -277,11 +193,3 @@ def test_the_order_to_stop_names_the_newest_pair_and_its_capture_is_the_last_tha
     attempt.descent.enough = True  # type: ignore[misc, union-attr]
     (message,) = enough_message(attempt)
     assert (message.frame_seq, message.pressed_mm, attempt.stop_ns) == (3, 0.8, 3 * PERIOD_NS)
-
-
-@pytest.mark.parametrize("problem", [None, Refusal("out_of_distribution", "too fast")])
-def test_networks_beside_refuse_for_the_same_reason_where_no_depth_was_read(problem: Refusal | None) -> None:
-    models: Any = SimpleNamespace(card=SimpleNamespace(pressing=SimpleNamespace(steps_n=4)))
-    shown: Any = None if problem is None else SimpleNamespace(problem=problem)
-    with pytest.raises(Refusal, match="too fast" if problem else "no step of depth was shown"):
-        decide_again(models, descent(descent=shown))

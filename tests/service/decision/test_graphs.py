@@ -175,14 +175,6 @@ def test_an_output_that_is_not_finite_is_refused_by_the_name_of_its_network(bad:
             answer_of(set_of(**both))
 
 
-@pytest.mark.parametrize("log_sigma", [-1e4, 800.0])
-def test_a_sigma_of_nothing_or_without_end_is_refused(log_sigma: float) -> None:
-    moments = {"error": np.array([[1.0, 1.0]]), "log_sigma": np.array([[log_sigma, 0.0]])}
-    cards = tiny_models.card("direction", "step"), tiny_models.card("magnitude", "step")
-    with pytest.raises(Refusal, match="a sigma of"), np.errstate(over="ignore"):
-        from_pair(*cards, DIRECTION, moments)
-
-
 def test_an_error_that_is_not_finite_is_refused_before_a_sigma_is_read() -> None:
     cards = tiny_models.card("direction", "step"), tiny_models.card("magnitude", "step")
     with pytest.raises(Refusal, match="an error of"):

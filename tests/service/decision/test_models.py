@@ -35,17 +35,6 @@ def test_two_models_that_disagree_are_refused(tmp_path: Path) -> None:
         load_models(folder)
 
 
-def test_a_missing_network_and_a_second_one_are_refused(tmp_path: Path) -> None:
-    folder = tiny_models.write_models(tmp_path)
-    onnx.save(tiny_models.step_model("direction", 5), str(folder / "other.onnx"))
-    with pytest.raises(ContractError, match="two direction step models"):
-        load_models(folder)
-    (folder / "other.onnx").unlink()
-    (folder / "magnitude.step.onnx").unlink()
-    with pytest.raises(ContractError, match="no magnitude step model"):
-        load_models(folder)
-
-
 def test_a_network_that_decides_alone_is_refused_beside_others_by_name(tmp_path: Path) -> None:
     folder = tiny_models.write_models(tmp_path)
     shutil.copy(RELEASED / "pair.step.onnx", folder)

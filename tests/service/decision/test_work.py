@@ -1,6 +1,5 @@
 """Reasons against a decision are an answer, not an error of the networks' thread."""
 
-from collections import deque
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -9,14 +8,13 @@ import numpy as np
 import pytest
 
 from service.contract import MarkerSpec, wire
-from service.decision.attempt import Attempt, Stage, implausible_width
+from service.decision.attempt import Attempt, Stage
 from service.decision.evidence import Evidence, Refusal
 from service.decision.work import (
     arrays_of,
     check_evidence,
     decide_again,
     enough_message,
-    latencies,
     overdue,
     plan_steps,
     plan_work,
@@ -145,21 +143,6 @@ def test_a_slip_is_as_old_as_its_frame() -> None:
     assert slip.pressed_mm is None, "no contact is known"
 
 
-def test_a_pair_took_as_long_as_its_slower_finger() -> None:
-    both = pair()
-    slow = PairObservation(
-        replace(both.left, cost_ms={"markers": 2.0, "slip": 1.0}), replace(both.right, cost_ms={"markers": 3.0})
-    )
-    run: Any = SimpleNamespace(step_ms=4.0)
-    assert latencies(run, slow) == {"markers": 3.0, "slip": 1.0, "networks_last_step": 4.0}
-
-
-@pytest.mark.parametrize(("width_mm", "refused"), [(None, False), (1.9, True), (2.1, False)])
-def test_fingers_that_meet_hold_nothing(width_mm: float | None, refused: bool) -> None:
-    arm = wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0, gripper_width_mm=width_mm)
-    assert bool(implausible_width(arm)) == refused
-
-
 def test_nobody_is_told_that_it_is_enough_twice_or_at_rest() -> None:
     enough: Any = SimpleNamespace(enough=True, pressed_mm=1.2)
     attempt = descent(descent=enough)
@@ -190,21 +173,6 @@ def stamped(seq: int, cost_ms: float = 1.0) -> PairObservation:
     """A pair of that number, captured as many hundredths of a second after the first."""
     changed = {"seq": seq, "captured_ns": seq * 10_000_000, "cost_ms": {"markers": cost_ms}}
     return PairObservation(*(replace(one, **changed) for one in pair().fingers))
-
-
-def test_the_result_of_steps_states_what_the_newest_pair_took() -> None:
-    spec = SimpleNamespace(steps_n=5)
-    models: Any = SimpleNamespace(card=SimpleNamespace(pressing=spec))
-    read: list[int] = []
-    descended: Any = SimpleNamespace(add=lambda one: [one.seq], problem=None, enough=True, felt=True)
-    run: Any = SimpleNamespace(step=read.append, step_ms=2.0, evidence=lambda: "felt")
-    attempt = descent(stage=Stage.ARMED, descent=descended, run=run)
-    attempt.ring = deque(stamped(seq, cost_ms=float(seq)) for seq in range(4))
-    (work,) = plan_steps(models, attempt)
-    result = work.run()
-    assert result is not None
-    assert (read, result.evidence, result.latency_ms) == ([3], "felt", {"markers": 3.0, "networks_last_step": 2.0})
-    assert plan_steps(models, attempt) == [], "they were given their last input"
 
 
 def test_the_step_on_the_last_pair_alone_returns_the_result() -> None:

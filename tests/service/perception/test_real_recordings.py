@@ -52,7 +52,7 @@ def test_gelsight_mini_markers_are_found_in_every_clip():
     for clip in sorted(folder.glob("*/camera_*.avi"))[::6]:
         tracker = MarkerTracker()
         fields = [tracker.update(frame, k * 125_000_000) for k, frame in enumerate(read_video(clip)[:60])]
-        assert min(tracker.grid_shape) >= 5
+        assert min(fields[-1].valid.shape) >= 5
         assert all(field.status == "tracking" for field in fields)
         assert np.mean([field.valid.mean() for field in fields]) > 0.8
 

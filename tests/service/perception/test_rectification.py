@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from service.contract import ContractError, Sensor
+from service.contract import Sensor
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration, Measured, Rectifier
 from tests.service.perception.synthetic import draw, grid
 
@@ -21,23 +21,6 @@ def test_a_saved_calibration_loads_back_exactly(tmp_path):
     loaded = Calibration.load(tmp_path / "c.toml")
     assert np.array_equal(loaded.left.homography, TRAPEZOID)
     assert loaded.camera("right").raw == camera.raw
-
-
-@pytest.mark.parametrize(
-    "matrix",
-    [
-        np.full((3, 3), np.nan),
-        np.zeros((3, 3)),
-        np.ones((3, 3)),
-        np.eye(2),
-        np.diag([1, 1, np.inf]),
-        np.array([[1, 0, 5000], [0, 1, 0], [0, 0, 1.0]]),
-        np.array([[1, 0, 0], [0, 1, 0], [0.01, 0, 1.0]]),
-    ],
-)
-def test_an_unusable_homography_is_refused(matrix):
-    with pytest.raises(CalibrationError):
-        CameraCalibration(matrix, SENSOR.raw, SENSOR.rectified)
 
 
 @pytest.mark.parametrize(
@@ -73,8 +56,3 @@ def test_rectified_markers_lie_where_the_homography_puts_them():
     again = Rectifier(CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified)).apply(np.asarray(raw, np.uint8))
     inner = np.s_[5:-5, 5:-5]
     assert np.abs(again[inner].astype(int) - flat[inner]).mean() < 8
-
-
-def test_a_frame_of_another_size_is_refused():
-    with pytest.raises(ContractError, match="expected uint8"):
-        Rectifier(CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified)).apply(np.zeros((320, 320, 3), np.uint8))

@@ -62,17 +62,6 @@ def cell(tmp_path: Path, models: ModelSet) -> Iterator[Cell]:
     wait_for_recorders()
 
 
-def test_while_nothing_is_under_way_nothing_is_disturbed_by_what_belongs_to_an_insertion(cell: Cell) -> None:
-    cell.manager.result(None)
-    cell.manager.fault("camera_lost", "left is gone")
-    cell.manager.tick(10**15)
-    cell.manager.abort("operator", "nothing to end")
-    cell.manager.disconnect(cell.client.send)
-    cell.manager.receive(wire.ClientHeartbeat(insertion_id="one", count=1), cell.client.send)
-    assert (cell.client.heard, cell.events, cell.manager.opened_n, cell.manager.unrecorded_n) == ([], [], 0, 0)
-    assert cell.manager.recording_problem == ""
-
-
 def test_what_belongs_to_an_insertion_reaches_it_and_only_its_own_clients_messages_do(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,12 +97,6 @@ def test_the_last_insertions_are_remembered_for_a_client_that_missed_their_end(
     assert [message.type for message in late.heard[2:]] == ["heartbeat"]
     assert late.connect("one").type == "hello", "forgotten"
     assert cell.manager.opened_n == 4
-
-
-def test_a_client_of_another_protocol_opens_nothing(cell: Cell) -> None:
-    cell.manager.connect(wire.ClientHello(insertion_id="one", client="old", protocol=99), cell.client.send)
-    assert [message.type for message in cell.client.heard] == ["fault"]
-    assert cell.manager.active is None
 
 
 def test_an_insertion_ends_in_this_order_and_its_client_hears_it_once_it_is_all_on_disk(cell: Cell) -> None:
@@ -231,21 +214,6 @@ def test_the_version_that_decides_now_begins_an_insertion_and_the_one_before_goe
     versions.fails = True
     assert cell.ends("four").heard[-1].type == "finished"
     assert ("error", "versions: disk") in cell.events
-
-
-def test_what_an_error_was_known_under_other_networks_does_not_count_for_the_next_insertion(
-    cell: Cell, models: ModelSet
-) -> None:
-    arm = wire.Arm(insertion_id="one", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
-    cell.client.connect("one")
-    cell.manager.receive(arm, cell.client.send)
-    cell.manager.abort("afresh", "turned")
-    cell.manager.models = ModelSet(models.steps, models.models)
-    wait_for_recorders()
-    cell.manager.connect(wire.ClientHello(insertion_id="two", client="test", continues="one"), cell.client.send)
-    assert cell.manager.active is not None
-    assert cell.manager.active.session.decider is None
-    assert cell.manager.active.continues == "one"
 
 
 def test_insertions_without_a_recording_are_no_evidence_for_a_version(

@@ -83,15 +83,6 @@ def test_the_correction_is_sent_before_anything_is_written_or_shown_and_then_all
     assert rest.index("message") < rest.index("write message")
 
 
-def test_what_waits_for_an_answer_that_does_not_come_is_written_down_all_the_same(witness: Witness) -> None:
-    witness.until_stopped(2)
-    witness.show(2, one_finger=True)
-    assert not witness.events
-    witness.now_ns += 200_000_000
-    witness.insertion.tick()
-    assert witness.events.count("write frame") == 1
-
-
 def test_an_end_is_written_down_before_it_is_published_and_the_recording_is_whole(witness: Witness) -> None:
     witness.until_stopped()
     witness.show(10)

@@ -237,11 +237,6 @@ def test_a_correction_is_commanded_once_and_a_refusal_never(session: InsertionSe
     assert len(commanded) == 1
 
 
-def test_an_insertion_that_ends_before_it_began_has_no_attempts(session: InsertionSession) -> None:
-    (end,) = session.handle(wire.Abort(insertion_id=ID, cause="operator", reason="done"), 0)
-    assert (end.attempts, end.outcome) == (0, "aborted")
-
-
 def test_an_abort_for_frames_that_came_unjudged_tells_why_they_were_not(session: InsertionSession) -> None:
     arm(session)
     shows(session, 0)

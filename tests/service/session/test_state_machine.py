@@ -106,37 +106,6 @@ def test_the_arm_came_to_stand_before_its_client_was_sure_of_it(session: Inserti
     assert session.attempt.stopped_ns == 1_850_000_000
 
 
-def test_a_repeated_stop_repeats_the_correction_and_nothing_else(session: InsertionSession) -> None:
-    hello(session)
-    correction = probe(session, 1, 0)[-1]
-    again = wire.Stopped(insertion_id=ID, attempt=1, depth_mm=6.0, outcome="blocked")
-    assert session.handle(again, 10**10) == [correction]
-
-
-def test_no_motion_is_no_decision(session: InsertionSession) -> None:
-    hello(session)
-    messages = session.handle(wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)
-    for index in range(6):
-        messages += session.on_pair(drawn.pair(index), index)
-    messages += session.handle(wire.Stopped(insertion_id=ID, attempt=1, depth_mm=6.0, outcome="blocked"), 0)
-    messages += session.on_tick(1_000_000_000)
-    assert kinds(messages) == ["armed"]
-    (refused,) = session.on_tick(2_100_000_000)
-    assert (refused.type, refused.reason) == ("no_decision", "no_motion")
-
-
-def test_messages_out_of_order_are_faults_that_change_nothing(session: InsertionSession) -> None:
-    arm = wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
-    assert kinds(session.handle(arm, 0)) == ["fault"]
-    hello(session)
-    assert kinds(session.handle(wire.Descending(insertion_id=ID, attempt=1), 0)) == ["fault"]
-    stop = wire.Stopped(insertion_id=ID, attempt=1, depth_mm=6.0, outcome="blocked")
-    assert kinds(session.handle(stop, 0)) == ["fault"]
-    assert kinds(session.handle(arm.model_copy(update={"attempt": 2}), 0)) == ["fault"]
-    assert kinds(session.handle(arm.model_copy(update={"insertion_id": "other"}), 0)) == ["fault"]
-    assert session.attempt is None
-
-
 @pytest.mark.parametrize(("decided", "refused"), [(False, (2, 3)), (True, (1, 3))])
 def test_only_the_attempt_after_a_decided_one_is_armed(
     session: InsertionSession, decided: bool, refused: tuple[int, int]
@@ -151,14 +120,6 @@ def test_only_the_attempt_after_a_decided_one_is_armed(
     if not decided:
         assert kinds(session.handle(arm, 10**10)) == ["armed"], "a repeated arm is answered again"
         assert session.attempt is first
-
-
-def test_an_old_newest_frame_in_a_descent_is_a_fault_once(session: InsertionSession) -> None:
-    hello(session)
-    session.handle(wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)
-    session.on_pair(drawn.pair(0), 0)
-    assert kinds(session.on_tick(600_000_000)) == ["fault"]
-    assert session.on_tick(700_000_000) == []
 
 
 def test_a_lost_camera_during_a_descent_means_no_decision(session: InsertionSession) -> None:

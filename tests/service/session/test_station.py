@@ -107,13 +107,6 @@ def test_a_camera_of_another_size_is_not_live_and_is_named_with_the_size_that_is
     assert codes == ["camera_size"] * 2, "once for each time that the size became wrong"
 
 
-def test_a_finger_that_has_a_camera_takes_no_pushed_frames(idle: Station) -> None:
-    assert idle.push("left") is idle.cameras["left"].source
-    idle.cameras = {"left": SimpleNamespace(source=SimpleNamespace(name="http://x"))}  # type: ignore[misc]
-    with pytest.raises(ContractError, match="start the service with --camera-left push:"):
-        idle.push("left")
-
-
 class Driven:
     """An insertion that wants frames or does not; ``frames`` are the frames that it was given."""
 
@@ -129,19 +122,6 @@ def deliver(station: Station, *numbers: int) -> None:
     for seq in numbers:
         frame = TactileFrame("left", seq, seq, np.zeros((2, 2, 3), np.uint8))
         station._on_camera_frame(CameraFrame(frame, None))
-
-
-@pytest.mark.parametrize("wanted", [True, False])
-def test_frames_between_attempts_are_neither_perceived_nor_counted_as_dropped(
-    idle: Station, monkeypatch: pytest.MonkeyPatch, wanted: bool
-) -> None:
-    driven = Driven(wants_frames=wanted)
-    monkeypatch.setattr(idle.manager, "active", driven)
-    deliver(idle, *range(1, 11))
-    for _ in range(10):
-        idle._next_frame()
-    assert driven.frames == ([3, 4, 5, 6, 7, 8, 9, 10] if wanted else [])
-    assert idle.counters.frames_dropped_n == (2 if wanted else 0)
 
 
 def test_frames_that_wait_while_their_insertion_ends_go_to_no_other_and_are_no_error(

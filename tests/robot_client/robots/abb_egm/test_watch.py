@@ -18,15 +18,6 @@ def state(sequence, time_ms, **changes):
     return RobotState(sequence, time_ms, Pose(0, 0, 0), **changes)
 
 
-def test_repeated_and_late_datagrams_are_not_taken():
-    w = watch()
-    assert w.take(state(5, 100), 0.0) == 0.0
-    assert w.take(state(5, 100), 0.004) is None
-    assert w.take(state(4, 96), 0.005) is None
-    assert w.take(state(7, 108), 0.008) == pytest.approx(0.008)
-    assert w.repeated == 2
-
-
 def test_sequence_and_clock_may_wrap():
     w = watch()
     w.take(state(2**32 - 1, 2**32 - 2), 0.0)

@@ -12,96 +12,6 @@ from robot_client.robots.abb_rws.rws1 import RWS1
 from robot_client.robots.abb_rws.settings import RwsSettings
 
 
-@pytest.mark.parametrize("challenge", ["algorithm=SHA3, qop=auth", "algorithm=MD5, qop=auth-int", "qop=banana"])
-def test_a_stop_that_cannot_even_be_asked_for_is_not_confirmed_in_words(challenge):
-    def answer(_request):
-        return httpx.Response(401, headers={"WWW-Authenticate": f'Digest realm="r", nonce="n", {challenge}'})
-
-    async def story():
-        client = RwsClient(RwsSettings(stop_timeout_s=0.05, poll_s=0.01))
-        await client._client.aclose()
-        client._generation, client._auth = RWS1, httpx.DigestAuth("user", "password")
-        client._client = httpx.AsyncClient(transport=httpx.MockTransport(answer), base_url="http://127.0.0.1")
-        outcome = await client.stop_program()
-        with pytest.raises(RwsError, match="GET /rw/panel/opmode"):
-            await client.status()
-        await client.close()
-        return outcome
-
-    assert "STOP NOT CONFIRMED" in asyncio.run(story())
-
-
-def start_of(panel):
-    """Outcome of a start on a controller in this state, the posted requests, and whether the stop is our duty."""
-    state, posted = {"opmode": "AUTO", "ctrlstate": "motoron", "ctrlexecstate": "stopped"} | panel, []
-
-    def answer(request):
-        if request.method == "POST":
-            posted.append(request.url.params["action"])
-            done = {"start": {"ctrlexecstate": "running"}, "setctrlstate": {"ctrlstate": "motoron"}}
-            state.update(done.get(posted[-1], {}))
-        return httpx.Response(200, json={"_embedded": {"_state": [{**state, "speedratio": "100"}]}})
-
-    async def story():
-        client = RwsClient(RwsSettings(start_timeout_s=0.05, motors_timeout_s=0.05, poll_s=0.01))
-        await client._client.aclose()
-        client._generation = RWS1
-        client._client = httpx.AsyncClient(transport=httpx.MockTransport(answer), base_url="http://127.0.0.1")
-        try:
-            await client.start_program()
-            return "", posted, client.started
-        except RwsError as error:
-            return str(error), posted, client.started
-        finally:
-            await client._client.aclose()
-
-    return asyncio.run(story())
-
-
-def test_a_fit_controller_runs_the_program_which_is_then_ours_to_stop():
-    assert start_of({}) == ("", ["resetpp", "start"], True)
-
-
-@pytest.mark.parametrize(
-    ("panel", "reason"),
-    [
-        ({"opmode": "MANR"}, "operating mode is MANR, expected AUTO"),
-        ({"ctrlstate": "guardstop"}, "controller state is guardstop"),
-        ({"ctrlexecstate": "running"}, "runs already"),
-    ],
-)
-def test_nothing_is_started_on_a_controller_that_is_not_fit_for_it(panel, reason):
-    error, posted, started = start_of(panel)
-    assert reason in error
-    assert (posted, started) == ([], False)
-
-
-@pytest.mark.parametrize("refused_n", [0, 1, 3])
-def test_a_stop_that_was_refused_is_asked_for_again_until_the_controller_reports_it(refused_n):
-    state, asked = {"ctrlexecstate": "running"}, []
-
-    def answer(request):
-        if request.method == "POST":
-            asked.append(request.url.params["action"])
-            if len(asked) <= refused_n:
-                return httpx.Response(503)
-            state["ctrlexecstate"] = "stopped"
-        return httpx.Response(200, json={"_embedded": {"_state": [state]}})
-
-    async def story():
-        client = RwsClient(RwsSettings(stop_timeout_s=10.0, poll_s=0.01))
-        await client._client.aclose()
-        client._generation = RWS1
-        client._client = httpx.AsyncClient(transport=httpx.MockTransport(answer), base_url="http://127.0.0.1")
-        try:
-            return await client.stop_program()
-        finally:
-            await client._client.aclose()
-
-    assert asyncio.run(story()) == "controller confirms: program stopped"
-    assert asked == ["stop"] * (refused_n + 1)
-
-
 def asked(call, state=None, answer=None, **settings):
     """Result of a call on a controller of RobotWare 6 in this state, or the reason for which there is none."""
     panel = {"opmode": "AUTO", "ctrlstate": "motoron", "ctrlexecstate": "stopped", "speedratio": "100"} | (state or {})
@@ -124,6 +34,64 @@ def asked(call, state=None, answer=None, **settings):
     return asyncio.run(story())
 
 
+@pytest.mark.parametrize("challenge", ["algorithm=SHA3, qop=auth", "algorithm=MD5, qop=auth-int", "qop=banana"])
+def test_a_stop_that_cannot_even_be_asked_for_is_not_confirmed_in_words(challenge):
+    def answer(_request):
+        return httpx.Response(401, headers={"WWW-Authenticate": f'Digest realm="r", nonce="n", {challenge}'})
+
+    async def stopped(client):
+        client._auth = httpx.DigestAuth("user", "password")
+        outcome = await client.stop_program()
+        with pytest.raises(RwsError, match="GET /rw/panel/opmode"):
+            await client.status()
+        await client.close()
+        return outcome
+
+    assert "STOP NOT CONFIRMED" in asked(stopped, answer=answer, stop_timeout_s=0.05)
+
+
+def start_of(panel):
+    """Refusal of a start on a controller in this state, the posted requests, and whether the stop is our duty."""
+    state, posted = {"opmode": "AUTO", "ctrlstate": "motoron", "ctrlexecstate": "stopped"} | panel, []
+
+    def answer(request):
+        if request.method == "POST":
+            posted.append(request.url.params["action"])
+            done = {"start": {"ctrlexecstate": "running"}, "setctrlstate": {"ctrlstate": "motoron"}}
+            state.update(done.get(posted[-1], {}))
+        return httpx.Response(200, json={"_embedded": {"_state": [{**state, "speedratio": "100"}]}})
+
+    clients = []
+
+    async def started(client):
+        clients.append(client)
+        await client.start_program()
+
+    refusal = asked(started, answer=answer, start_timeout_s=0.05, motors_timeout_s=0.05)
+    return refusal, posted, clients[0].started
+
+
+def test_a_fit_controller_runs_the_program_which_is_then_ours_to_stop():
+    assert start_of({}) == (None, ["resetpp", "start"], True)
+
+
+@pytest.mark.parametrize("refused_n", [0, 1, 3])
+def test_a_stop_that_was_refused_is_asked_for_again_until_the_controller_reports_it(refused_n):
+    state, orders = {"ctrlexecstate": "running"}, []
+
+    def answer(request):
+        if request.method == "POST":
+            orders.append(request.url.params["action"])
+            if len(orders) <= refused_n:
+                return httpx.Response(503)
+            state["ctrlexecstate"] = "stopped"
+        return httpx.Response(200, json={"_embedded": {"_state": [state]}})
+
+    outcome = asked(RwsClient.stop_program, answer=answer, stop_timeout_s=10.0)
+    assert outcome == "controller confirms: program stopped"
+    assert orders == ["stop"] * (refused_n + 1)
+
+
 @pytest.mark.parametrize(
     ("state", "switch", "good"),
     [
@@ -142,8 +110,8 @@ def test_what_keeps_a_program_from_being_started_is_found_before_it_is(state, sw
     assert [finding.good for finding in findings] == good
     assert findings[4].text == "speed ratio 100 %"
     if switch:
-        refused, _, started = start_of(state)
-        assert started == (not refused) == all(good)
+        refused, posted, started = start_of(state)
+        assert started == (not refused) == bool(posted) == all(good)
 
 
 @pytest.mark.parametrize(("value", "on"), [("0", False), ("0.0", False), ("0.1", True), ("1", True)])

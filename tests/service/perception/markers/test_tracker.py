@@ -161,7 +161,7 @@ def test_the_grid_is_found_by_itself(rows, cols, width, height, pitch, diameter)
     points = grid(rows, cols, pitch, width, height)
     tracker = MarkerTracker()
     field = tracker.update(draw(points, rng, width, height, diameter), 0)
-    assert tracker.grid_shape == (rows, cols)
+    assert field.valid.shape == (rows, cols)
     assert field.pitch_px == pytest.approx(pitch, rel=0.02)
     assert identity(field, points, width, height) == 1.0
 
