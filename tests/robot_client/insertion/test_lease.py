@@ -58,8 +58,8 @@ def test_without_a_judged_frame_the_descent_ends_whatever_else_the_service_says(
     assert commands[1].message.cause == "unwatched"
 
 
-@pytest.mark.parametrize("captured_s", [-0.5, 0.0])
-def test_a_frame_that_comes_late_or_twice_renews_nothing(captured_s):
+@pytest.mark.parametrize("captured_s", [-0.5, 0.0, 7.0])
+def test_a_frame_that_comes_late_or_twice_or_from_the_future_renews_nothing(captured_s):
     state, _ = descending()
     after, commands = step(state, service(watching(1, captured_s), 0.05))
     assert (after, commands) == (state, ())
