@@ -1,6 +1,7 @@
 """The service's deciding networks: ONNX files whose cards are valid and agree, each warmed up before use."""
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from service.contract import ContractError, ModelCard
-from service.contract.model_card import CONDITIONS
+from service.contract.model_card import CONDITIONS, UNTRAINED
 from service.contract.self_test import check_self_test
 from service.contract.wire import ModelEntry
 
@@ -109,6 +110,16 @@ class ModelSet:
     @property
     def entries(self) -> tuple[ModelEntry, ...]:
         return tuple(step.entry for step in self.steps)
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What a person should know of networks that may decide all the same, a sentence each."""
+        cards = [step.card for step in self.steps]
+        said = [f"{card.name} is untrained: {why}" for card in cards if (why := card.training_run.get(UNTRAINED))]
+        if len({(card.training_data_sha256, json.dumps(card.training_run, sort_keys=True)) for card in cards}) > 1:
+            names = " and ".join(card.name for card in cards)
+            said.append(f"{names} are from different trainings: no figure of either was measured with the other")
+        return tuple(said)
 
     def role(self, role: str) -> LoadedModel | None:
         return next((step for step in self.steps if step.card.role == role), None)

@@ -35,6 +35,15 @@ def test_two_models_that_disagree_are_refused(tmp_path: Path) -> None:
         load_models(folder)
 
 
+def test_networks_of_different_trainings_decide_together_with_a_caution(tmp_path: Path) -> None:
+    folder = tiny_models.write_models(tmp_path, training_run={"seed": 1})
+    assert load_models(folder).cautions == ()
+    for changed in ({"training_run": {"seed": 2}}, {"training_run": {"seed": 1}, "training_data_sha256": "f" * 64}):
+        onnx.save(tiny_models.step_model("magnitude", **changed), str(folder / "magnitude.step.onnx"))
+        (caution,) = load_models(folder).cautions
+        assert caution.startswith("tiny-direction and tiny-magnitude are from different trainings")
+
+
 def test_a_missing_network_and_a_second_one_are_refused(tmp_path: Path) -> None:
     folder = tiny_models.write_models(tmp_path)
     onnx.save(tiny_models.step_model("direction", 5), str(folder / "other.onnx"))
