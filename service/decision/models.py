@@ -116,11 +116,11 @@ class ModelSet:
     def cautions(self) -> tuple[str, ...]:
         """What a person should know of networks that may decide all the same, a sentence each."""
         cards = [step.card for step in self.steps]
-        said = [f"{card.name} is untrained: {why}" for card in cards if (why := card.training_run.get(UNTRAINED))]
+        cautions = [f"{card.name} is untrained: {why}" for card in cards if (why := card.training_run.get(UNTRAINED))]
         if len({(card.training_data_sha256, json.dumps(card.training_run, sort_keys=True)) for card in cards}) > 1:
             names = " and ".join(card.name for card in cards)
-            said.append(f"{names} are from different trainings: no figure of either was measured with the other")
-        return tuple(said)
+            cautions.append(f"{names} are from different trainings: no figure of either was measured with the other")
+        return tuple(cautions)
 
     def role(self, role: str) -> LoadedModel | None:
         return next((step for step in self.steps if step.card.role == role), None)

@@ -56,12 +56,12 @@ def test_insertions_that_are_not_recorded_raise_an_alarm_each_time_that_begins_a
             live.recordings.mkdir(exist_ok=True)
             assert status(live)["open_alarms_n"] == 0
             shutil.rmtree(live.recordings)
-            assert [seen(live), status(live)["open_alarms_n"]] == ["recording", 0]
+            assert [acknowledged(live), status(live)["open_alarms_n"]] == ["recording", 0]
         live.station.hub.publish("error", "another alarm")
-        assert [seen(live), status(live)["open_alarms_n"]] == ["service", 0]
+        assert [acknowledged(live), status(live)["open_alarms_n"]] == ["service", 0]
 
 
-def seen(live: LiveService) -> str:
+def acknowledged(live: LiveService) -> str:
     """Acknowledge the only open alarm; its key."""
     (alarm,) = (one for one in status(live)["alarms"] if not one["acknowledged_s"])
     httpx.post(live.url(f"/v1/alarms/{alarm['number']}/acknowledge")).raise_for_status()

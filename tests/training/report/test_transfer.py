@@ -64,10 +64,10 @@ def test_a_network_that_turns_its_directions_around_loses_them(tmp_path, monkeyp
 
 
 def test_a_network_that_was_trained_on_a_test_set_is_refused_by_name(tmp_path, monkeypatch, presses):
-    seen = replace(Checkpoint.load(RELEASE), training_data_sha256=data_sha256(open_source(str(presses))))
-    seen.save(tmp_path / "seen.pt")
+    trained = replace(Checkpoint.load(RELEASE), training_data_sha256=data_sha256(open_source(str(presses))))
+    trained.save(tmp_path / "trained.pt")
     with pytest.raises(ContractError, match="other was trained on the test set bristle; expected fresh presses"):
-        compared(tmp_path, monkeypatch, presses, tmp_path / "seen.pt")
+        compared(tmp_path, monkeypatch, presses, tmp_path / "trained.pt")
     assert not (tmp_path / "transfer.json").exists()
 
 
