@@ -130,6 +130,13 @@ class Settings(BaseSettings):
             check_token(token.get_secret_value())
         return token
 
+    @field_validator("models", "recordings", "state", mode="before")
+    @classmethod
+    def _folder(cls, path: Any) -> Any:
+        if path == "":
+            raise ValueError("expected a folder, this is empty")
+        return path
+
     @field_validator("shadow", "calibration", mode="before")
     @classmethod
     def _left_out(cls, path: Any) -> Any:

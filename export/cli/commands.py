@@ -73,7 +73,7 @@ def benchmark(
     from export.onnx.decisions import read_split
 
     _positive(seconds=seconds)
-    files = models or sorted(Path("models").rglob("*.onnx"))
+    files = models or [file for file in sorted(Path("models").rglob("*.onnx")) if "/." not in str(file)]
     recorded = list(read_split(str(data), "validation", decisions)) if data is not None else []
     measure(files, seconds=seconds, docs=docs, decisions=recorded, alexnet=alexnet, int8=int8)
     print(f"{docs / 'benchmark.md'}")

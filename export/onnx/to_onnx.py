@@ -2,6 +2,7 @@
 
 import logging
 import math
+import shutil
 import tempfile
 import warnings
 from pathlib import Path
@@ -36,6 +37,7 @@ FLOAT = onnx.TensorProto.FLOAT
 LARGEST_SHARED = 10**7
 """Constants of up to this many elements are stored only once, however often the graph uses them."""
 Form = Literal["sequence", "step"]
+SCRATCH = ".export-"  # folders of files that are not checked yet
 FORMS: tuple[Form, Form] = ("sequence", "step")
 OUTPUTS: dict[Role, list[str]] = {
     "direction": ["logits"],
@@ -59,8 +61,10 @@ def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list
     beside = ("joint",) if checkpoint.pressing else ("joint", "pair")
     _refuse_strangers(out, {f"{role}.step.onnx" for role in network.roles if role not in beside})
     out.mkdir(parents=True, exist_ok=True)
+    for left in out.glob(f"{SCRATCH}*"):  # by an export that was killed
+        shutil.rmtree(left, ignore_errors=True)
     written = []
-    with tempfile.TemporaryDirectory(dir=out) as scratch:
+    with tempfile.TemporaryDirectory(dir=out, prefix=SCRATCH) as scratch:
         for role in network.roles:
             for form in FORMS[1:] if role == "pair" or checkpoint.pressing else FORMS:
                 file = Path(scratch) / f"{role}.{form}.onnx"

@@ -13,6 +13,7 @@ from typing import Literal, Protocol
 
 import cv2
 import numpy as np
+import structlog
 from numpy.typing import NDArray
 
 from service.contract import ContractError, Finger, FramePair, TactileFrame
@@ -23,6 +24,7 @@ STALL_S = 0.5  # no frame for this long is a stall
 GLANCE_EVERY = 4  # without attention one frame in this many is decoded; the others only show that the camera lives
 MAX_BROKEN = 10  # consecutive undecodable JPEGs before the camera is reopened
 State = Literal["live", "stalled", "lost", "starting"]
+log = structlog.get_logger()
 
 
 class CameraError(ContractError):
@@ -190,6 +192,8 @@ class Camera:
         self.newest_ns = captured_ns
         self.frames_n += 1
         self._stamps.append(captured_ns)
+        if self.state in {"stalled", "lost"}:
+            log.info("camera", finger=self.finger, code="live_again")
         self.state = "live"
 
     def _decoded(self, capture: Capture) -> NDArray[np.uint8] | None:

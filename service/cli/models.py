@@ -26,6 +26,7 @@ def main(arguments: Sequence[str]) -> int:
         return 0
     for model in models.models:
         print("\n".join(fitted(printable(line)) for line in describe(model, decides=model.path in deciding)))
+    print("".join(f"{fitted(printable(f'caution: {one}'))}\n" for one in models.cautions), end="")
     return 0
 
 

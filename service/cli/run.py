@@ -54,7 +54,10 @@ def logging_to_standard_error(settings: Settings) -> Iterator[None]:
 
 @contextlib.contextmanager
 def leaving_in_order() -> Iterator[None]:
-    """SIGTERM unwinds like any exception, so that recordings are closed; the web server passes it on when drained."""
+    """SIGTERM unwinds like any exception, so that recordings are closed; the web server passes it on when drained.
+
+    A terminal that is closed does the same, unless that is ignored (nohup).
+    """
 
     def leave(_: int, __: object) -> None:
         raise SystemExit(0)
@@ -62,11 +65,14 @@ def leaving_in_order() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, leave)
+    before = {signal.SIGTERM: signal.signal(signal.SIGTERM, leave)}
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        before[signal.SIGHUP] = signal.signal(signal.SIGHUP, lambda *_: signal.raise_signal(signal.SIGTERM))
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -22,7 +22,7 @@ UNTRAINED = "untrained"  # in ``training_run``: why an exported network is no be
 Sign = Literal[-1, 0, 1]
 Role = Literal["direction", "magnitude", "joint", "pair"]
 Positive = Annotated[float, Field(gt=0)]
-Threshold = Annotated[float, Field(gt=0, lt=15)]  # within the errors that are trained on, or a class has none of them
+Bounded = Annotated[float, Field(gt=0, lt=15)]  # within the errors that are trained on, or a class has none of them
 
 
 CONDITIONS = ("gap_width_mm", "grasp_height_mm", "grip_n", "shear_reach_mm", "speed_mm_s", "frame_spacing_mm")
@@ -138,7 +138,7 @@ class Expectations(Contract):
 
     edge: tuple[Positive, Positive] = (19.0, 16.0)
     spread: tuple[Positive, Positive] = (9.0, 8.7)
-    tolerance: tuple[Positive, Positive] = (2.0, 3.5)
+    tolerance: tuple[Bounded, Bounded] = (2.0, 3.5)
     near_mm: Positive = 5.0
     creep_mm: float = Field(default=0.45, ge=-5.0, le=5.0)
     creep_near_mm: float = Field(default=0.28, ge=-5.0, le=5.0)
@@ -192,8 +192,8 @@ class ModelCard(Contract):
     state_size: int = Field(ge=0, default=0)
     reference_rule: Literal["first_of_sequence"] = "first_of_sequence"
     classes: tuple[ErrorClass, ...]
-    threshold_x_mm: Threshold = 2.5
-    threshold_theta_deg: Threshold = 5.0
+    threshold_x_mm: Bounded = 2.5
+    threshold_theta_deg: Bounded = 5.0
     gap_width_input: bool = False
     grasp_height_input: bool = False
     has_sigma: bool = False

@@ -1,6 +1,7 @@
 """The service's deciding networks: ONNX files whose cards are valid and agree, each warmed up before use."""
 
 import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +13,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from service.contract import ContractError, ModelCard
-from service.contract.model_card import CONDITIONS
+from service.contract.model_card import CONDITIONS, UNTRAINED
 from service.contract.self_test import check_self_test
 from service.contract.wire import ModelEntry
 
@@ -86,12 +87,13 @@ class LoadedModel:
         outputs = self.run(inputs)
         return outputs, outputs.pop("next_state")
 
-    def warm_up(self) -> None:
-        """Run a few steps on zeros, so that the first real decision is as fast as the later ones."""
+    def warm_up(self) -> dict[str, Array]:
+        """Run a few steps on zeros, so that the first real decision is as fast as the later ones; the last outputs."""
         still = np.zeros((2, *self.card.input_shape), self.card.input_dtype)
         state = self.fresh_state()
         for _ in range(_WARM_UP_STEPS):
-            _, state = self.step(still, still, state, 50.0)
+            outputs, state = self.step(still, still, state, 50.0)
+        return outputs
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +111,16 @@ class ModelSet:
     @property
     def entries(self) -> tuple[ModelEntry, ...]:
         return tuple(step.entry for step in self.steps)
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What a person should know of networks that may decide all the same, a sentence each."""
+        cards = [step.card for step in self.steps]
+        cautions = [f"{card.name} is untrained: {why}" for card in cards if (why := card.training_run.get(UNTRAINED))]
+        if len({(card.training_data_sha256, json.dumps(card.training_run, sort_keys=True)) for card in cards}) > 1:
+            names = " and ".join(card.name for card in cards)
+            cautions.append(f"{names} are from different trainings: no figure of either was measured with the other")
+        return tuple(cautions)
 
     def role(self, role: str) -> LoadedModel | None:
         return next((step for step in self.steps if step.card.role == role), None)
@@ -133,7 +145,7 @@ def load_model(path: Path) -> LoadedModel:
     try:
         check_self_test(card, model.run, str(path))
         if card.form == "step":
-            model.warm_up()
+            _check_widths(model, model.warm_up())
     except ContractError as error:
         raise ModelError(str(error)) from error
     except Exception as error:
@@ -164,6 +176,15 @@ def _check_graph(model: LoadedModel) -> None:
     needed |= {"next_state"} if card.form == "step" else set()
     if not needed <= outputs:
         raise ModelError(f"{model.path} gives outputs {sorted(outputs)}, but its card promises {sorted(needed)}")
+
+
+def _check_widths(model: LoadedModel, outputs: Mapping[str, Array]) -> None:
+    card, grid = model.card, (len(model.card.grid_x_mm), len(model.card.grid_theta_deg))
+    promised = {"logits": (len(card.classes),), "error": (2,), "log_sigma": (2,), "log_density": grid}
+    for name in _OUTPUTS[card.role] | ({"log_sigma"} if card.has_sigma else set()):
+        if outputs[name].shape != (1, *promised[name]):
+            given = f"{model.path} gives {name} of {list(outputs[name].shape[1:])}"
+            raise ModelError(f"{given}, but its card promises {list(promised[name])}; export it again")
 
 
 def load_models(folder: Path) -> ModelSet:

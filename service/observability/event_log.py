@@ -5,6 +5,7 @@ from typing import Any
 import structlog
 
 from service.contract import wire
+from service.contract.replies import ending
 from service.observability.hub import Hub
 
 log = structlog.get_logger()
@@ -16,6 +17,7 @@ LOGGED = {
     "armed": ("attempt",),
     "refused": ("attempt", "reason", "detail"),
     "straighten": ("attempt", "tilt_deg", "detail"),
+    "abort": ("cause", "reason"),
     "finished": ("outcome", "attempts", "cause"),
     "fault": ("code", "detail", "fatal"),
 }
@@ -32,6 +34,9 @@ def _on_event(kind: str, content: Any) -> None:
         line = facts(content)
         level = log.warning if content.type in {"fault", "no_decision", "refused"} else log.info
         level(content.type, **line)
+    elif kind == "client" and isinstance(content, wire.Abort):
+        level = log.info if ending(content.cause) == "aborted" else log.warning
+        level("abort", **facts(content))
     elif kind == "camera_fault":
         log.warning("camera", **content)
     elif kind == "error":
@@ -42,12 +47,14 @@ def _on_event(kind: str, content: Any) -> None:
         log.info("recorded", insertion=content.insertion_id, path=content.recording)
 
 
-def facts(message: wire.ServiceMessage) -> dict[str, Any]:
-    """The fields of a message for a log line, rounded."""
+def facts(message: wire.ServiceMessage | wire.Abort) -> dict[str, Any]:
+    """The fields of a message for a log line, rounded; doubts as sentences."""
     line: dict[str, Any] = {"insertion": message.insertion_id}
     for name in LOGGED.get(message.type, ()):
         value = getattr(message, name)
         if isinstance(value, dict):
             value = {key: round(number, 2) for key, number in value.items()}
         line[SHORT.get(name, name)] = round(value, 3) if isinstance(value, float) else value
+    if isinstance(message, wire.Finished) and message.doubts:
+        line["doubts"] = "; ".join(doubt.detail for doubt in message.doubts)
     return line

@@ -18,9 +18,31 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
+from service.contract import ContractError
 from service.recordings.writer import FINAL, PART, RECOVERING, RECOVERY, UNREADABLE, write_whole
 
+LOCK = "lock"
 log = structlog.get_logger()
+
+
+def own(root: Path) -> IO[str] | None:
+    """Make ``root`` and keep it for one service until the result is closed; None where nothing can be written.
+
+    Two services would overwrite each other's alarms and charts, remove each other's recordings, and take the object in
+    the other's hand for their own. Raises ContractError if another service has it.
+    """
+    root.mkdir(parents=True, exist_ok=True)
+    with contextlib.ExitStack() as unlocked:
+        try:
+            stream = unlocked.enter_context((root / LOCK).open("w"))
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            why = f"another service keeps its recordings in {root}; give each its own --recordings"
+            raise ContractError(why) from None
+        except OSError:  # no insertion can be recorded there either, and /readyz says so
+            return None
+        unlocked.pop_all()
+        return stream
 
 
 def recover(root: Path) -> list[Path]:

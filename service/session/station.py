@@ -14,8 +14,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from service.cameras.capture import Camera, CameraError, CameraFrame, Pairer, now_ns
 from service.cameras.sources import PushSource, open_source
@@ -26,7 +25,7 @@ from service.decision.work import Work
 from service.observability.hub import Hub
 from service.perception.rectification import Calibration
 from service.recordings.listing import held_over
-from service.recordings.recovery import recover
+from service.recordings.recovery import own, recover
 from service.session.factory import make_session
 from service.session.insertion import Insertion, Send
 from service.session.manager import InsertionManager
@@ -71,6 +70,7 @@ class Station:
             for finger in FINGERS
         }
         self.viewers_n = 0
+        self.owned: IO[str] | None = None  # the lock of the recordings
         self._frames: deque[tuple[CameraFrame, FramePair | None]] = deque()
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._networks = ThreadPoolExecutor(1, "networks")  # slip detection never waits for a network
@@ -121,6 +121,8 @@ class Station:
             camera.stop()
         self._networks.shutdown()
         self.versions.close()
+        if self.owned is not None:
+            self.owned.close()
 
     @property
     def models(self) -> ModelSet:
@@ -134,11 +136,6 @@ class Station:
     def ready(self) -> bool:
         """Models warm and both cameras live."""
         return all(camera.state == "live" for camera in self.cameras.values())
-
-    @property
-    def recording_problem(self) -> str:
-        """Why insertions are not recorded completely; empty if they are."""
-        return self.manager.recording_problem
 
     # ---- inbox -----------------------------------------------------------------------------------------------------
 
@@ -290,9 +287,10 @@ def open_station(settings: Settings) -> Station:
             f"{settings.calibration} rectifies to {calibration.left.rectified.shape[1::-1]} (width, height),"
             f" the models expect {models.card.frame.shape[1::-1]}; calibrate for that size"
         )
-    Path(settings.recordings).mkdir(parents=True, exist_ok=True)
+    owned = own(settings.recordings)
     recover(settings.recordings)
     station = Station(settings, models, calibration)
+    station.owned = owned
     left = held_over(settings.recordings)
     station.manager.held_over = UNSEEN if left is None else left
     if settings.shadow:

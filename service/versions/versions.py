@@ -162,6 +162,7 @@ class Versions:
                 raise ContractError(f"{folder} holds version {version}, which was rejected: {why}")
             if differs := self._now.active.card.incomparable(models.card):
                 raise ContractError(f"{folder} cannot run in shadow: {differs[0]}")
+            _warn(version, models)
             kept = {**self._now.networks, self._store.keep(models): self._store.load(version)}
             self._change("shadow", version, f"given as {folder}", wiring.with_one("shadow", version, Contest()), kept)
             self.problem = ""
@@ -256,4 +257,10 @@ class Versions:
 
 def _of_release(released: ModelSet) -> _Now:
     version = version_of(released)
+    _warn(version, released)
     return _Now(Wiring(released=version, active=version), {version: released})
+
+
+def _warn(version: str, models: ModelSet) -> None:
+    for caution in models.cautions:
+        log.warning("networks", version=version, caution=caution)

@@ -10,6 +10,7 @@ import structlog
 from fastapi import WebSocket, WebSocketDisconnect
 
 NORMAL, GOING_AWAY, UNSUPPORTED, POLICY_VIOLATION, BROKEN, TRY_AGAIN_LATER = 1000, 1001, 1003, 1008, 1011, 1013
+RESTARTING = 1012  # by which the web server closes what is open when it stops
 MAX_REASON_BYTES = 123  # capacity of a close frame
 STREAM = "/stream.mjpg"  # end of the addresses whose answer ends with its reader only
 CLOSE_S = 1.0  # for a close frame to a client that may have stopped reading
@@ -42,7 +43,7 @@ async def until_one_ends(socket: WebSocket, *parts: Coroutine[Any, Any, Ending])
     if error is None:
         return first.result()
     if isinstance(error, WebSocketDisconnect):
-        return Ending(error.code, "the client left", left=True)
+        return Ending(error.code, "the service stops" if error.code == RESTARTING else "the client left", left=True)
     log.error("connection broke", path=socket.url.path, error=repr(error))
     return Ending(BROKEN, f"internal error: {type(error).__name__}")
 

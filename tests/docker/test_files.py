@@ -129,9 +129,11 @@ def metrics_read(text: str) -> set[str]:
 
 
 @pytest.mark.parametrize("path", ["prometheus/alerts.yml", "prometheus/alerts_test.yml", "grafana/dashboard.json"])
-def test_alerts_and_dashboard_read_only_metrics_that_the_service_has(path):
+def test_alerts_and_dashboard_read_only_metrics_that_the_service_has(path, tmp_path):
     cameras = dict.fromkeys(("camera_left", "camera_right"), "push:")
-    metrics = Metrics(open_station(Settings(models=ROOT / "models", calibration=None, **cameras)))
+    station = open_station(Settings(models=ROOT / "models", recordings=tmp_path, state=tmp_path, **cameras))
+    station.owned.close()
+    metrics = Metrics(station)
     assert metrics_read((DOCKER / path).read_text()) <= {family.name for family in metrics.registry.collect()}
 
 

@@ -68,6 +68,15 @@ def test_a_variable_that_is_left_empty_names_no_file(monkeypatch: pytest.MonkeyP
     assert (settings.shadow, settings.calibration) == (None, None)
 
 
+@pytest.mark.parametrize("name", ["MODELS", "RECORDINGS", "STATE"])
+def test_a_variable_that_is_left_empty_is_not_the_folder_that_the_service_runs_in(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(f"TACTILE_{name}", "")
+    with pytest.raises(SettingsError, match=f"TACTILE_{name}: .*expected a folder, this is empty"):
+        read_settings(CAMERAS)
+
+
 def test_secrets_do_not_show() -> None:
     assert SECRET not in repr(read_settings([*CAMERAS, "--token-drive", SECRET]))
 

@@ -55,7 +55,10 @@ class Comparison(Contract):
 
 
 def write_transfer(plan: Path, out: Path) -> Path:
-    """Test all networks of a plan, and write ``<out>/transfer.md`` and ``.json``; ContractError names a wrong key."""
+    """Test all networks of a plan, and write ``<out>/transfer.md`` and ``.json``.
+
+    Raises ContractError on a wrong key, and where a network was trained on a test set.
+    """
     try:
         comparison = Comparison.model_validate_json(json.dumps(read_toml(plan)))
     except ValidationError as error:
@@ -64,6 +67,11 @@ def write_transfer(plan: Path, out: Path) -> Path:
     presses_of = {
         test_set.name: load_pressed(DataConfig(path=test_set.data, views=1)) for test_set in comparison.test_sets
     }
+    for one in comparison.trained:
+        learnt_from = Checkpoint.load(Path(one.checkpoint)).training_data_sha256
+        for name, presses in presses_of.items():
+            if presses.sha256 == learnt_from:
+                raise ContractError(f"{plan}: {one.name} was trained on the test set {name}; expected fresh presses")
     data = {
         "commit": commit(),
         "note": comparison.note,

@@ -11,7 +11,7 @@ let all = [];
 export async function listPast() {
   if (at("history").hidden) return;
   const { ok, told } = await ask("/v1/recordings");
-  if (!ok) return;
+  if (!ok) { at("count").textContent = told.error; return; }
   const { recordings, problems } = told;
   all = recordings;
   for (const one of [...all].reverse()) one.attempts = one.descended_n + earlier(one);

@@ -4,7 +4,8 @@ import { drawFelt } from "/dashboard/felt.js";
 import { drawAbove, drawSide } from "/dashboard/place.js";
 import { listPast } from "/dashboard/history.js";
 
-const clock = (seconds) => new Date(1000 * seconds).toLocaleTimeString("en-GB");
+let today; // by the service's clock, for the viewer's may be wrong
+const clock = (seconds) => { const then = new Date(1000 * seconds); return `${then.toDateString() === today ? "" : `${then.toLocaleDateString("en-GB", { day: "numeric", month: "short" })}, `}${then.toLocaleTimeString("en-GB")}`; };
 const SILENT_MS = 5000;
 const NO_LINK = ["The page has no connection to the service", "What is shown below is old. It connects again by itself."];
 const NO_TOKEN = ["The address of this page lacks the token, or has a wrong one", "Open it with ?token= and the token of --token-watch behind the address."];
@@ -15,6 +16,7 @@ let grew = { count: undefined, at: -Infinity };
 
 function show(status) {
   const { headline, running, last, alarms } = status;
+  today = new Date(1000 * status.now_s).toDateString();
   at("headline").className = headline.level;
   if (at("words").textContent !== headline.words) at("words").textContent = headline.words;
   at("detail").textContent = headline.detail;
@@ -43,23 +45,27 @@ function showNext(running, last) {
 }
 
 const SIGNS = { stop: "■", warning: "▲" };
+let listed = "";
 
 function showAlarms(alarms, open) {
   at("open-alarms").textContent = open || "";
+  const list = JSON.stringify([today, alarms]);
+  if (list === listed) return; // a list that is worked on stays put
+  listed = list;
   const shown = alarms.map((alarm) => {
     const state = alarm.acknowledged_s ? "acknowledged" : alarm.active ? "still there" : "gone, not acknowledged";
     const facts = `${clock(alarm.at_s)}${alarm.times_n > 1 ? `, ${alarm.times_n} times` : ""}, ${alarm.level === "stop" && !alarm.acknowledged_s ? "not acknowledged" : state}`;
     const text = element("div", {}, element("b", { textContent: alarm.title }), element("small", { textContent: facts }), element("small", { textContent: [alarm.remedy, alarm.detail].filter(Boolean).join(" ") }));
     const item = element("li", { className: `${alarm.level} ${alarm.acknowledged_s ? "seen" : ""}` }, element("span", { className: "sign", textContent: SIGNS[alarm.level], ariaHidden: "true" }), text);
-    if (!alarm.acknowledged_s) item.append(element("button", { type: "button", textContent: "Seen", ariaLabel: `acknowledge: ${alarm.title}`, onclick: () => acknowledge(alarm.number) }));
+    if (!alarm.acknowledged_s) item.append(element("button", { type: "button", value: alarm.number, textContent: "Seen", ariaLabel: `acknowledge: ${alarm.title}`, onclick: () => acknowledge(alarm.number) }));
     return item;
   });
-  if (at("alarms").contains(document.activeElement) && document.activeElement.tagName === "BUTTON" && shown.length === at("alarms").children.length) return; // a list that is worked on stays put
+  const worked = at("alarms").contains(document.activeElement) ? document.activeElement.value : undefined;
   at("alarms").replaceChildren(...(shown.length ? shown : [element("li", { textContent: "None" })]));
+  if (worked !== undefined) (at("alarms").querySelector(`button[value="${worked}"]`) ?? at("alarms")).focus();
 }
 
 async function acknowledge(number) {
-  document.activeElement?.blur();
   await ask(`/v1/alarms/${number}/acknowledge`, { method: "POST" });
 }
 

@@ -36,6 +36,7 @@ class Status:
         gone_s = time.time() - self._last.at_s if self._last and self._last.at_s else 0.0
         self._put_back_s = time.monotonic() - max(0.0, gone_s)  # the clock may have been set back since
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_N)
+        self._unrecorded = False
         self.changes_n = 0
         self._note_interrupted()
         self._follow(station.hub)
@@ -174,8 +175,9 @@ class Status:
         health = self._health()
         with self._lock:
             self._note_overdue()
-            if health["recording"] and not any(a.key == "recording" for a in self._alarms.all[:1]):
+            if health["recording"] and not self._unrecorded:
                 self._alarms.sound("recording", "warning", "Insertions are not recorded", detail=health["recording"])
+            self._unrecorded = bool(health["recording"])
             listed = self._alarms.shown(SHOWN_ALARMS_N)
             alarms = [asdict(alarm) | {"active": self._is_active(alarm.key)} for alarm in listed]
             running, last = self._running, self._last

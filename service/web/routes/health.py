@@ -34,7 +34,7 @@ def router(station: Station, metrics: Metrics) -> APIRouter:
     async def readyz() -> JSONResponse:
         cameras = {finger: camera.state for finger, camera in station.cameras.items()}
         faults = {f: camera.last_fault for f, camera in station.cameras.items() if camera.state != "live"}
-        problem = station.recording_problem
+        problem = station.manager.recording_problem
         ready = station.ready and not problem
         content = {"ready": ready, "cameras": cameras, "faults": faults, "recording": problem or "ok"}
         return JSONResponse(content, 200 if ready else 503)

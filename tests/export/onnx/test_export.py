@@ -1,10 +1,13 @@
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
 
+from export.cli.commands import main
 from export.onnx.golden import golden_frames
 from export.onnx.model import open_model
 from export.onnx.to_onnx import attach_card, export_checkpoint
@@ -109,6 +112,28 @@ def test_nothing_is_exported_into_a_folder_that_a_service_would_then_refuse(tmp_
     with pytest.raises(ContractError, match=r"a service loads no pair\.step\.onnx beside direction\.step\.onnx"):
         export_checkpoint(Path("models/pressing/checkpoint.pt"), tmp_path)
     assert list(tmp_path.iterdir()) == [there]
+
+
+KILLED = """
+import os, sys
+from export.onnx import to_onnx
+from tests.export.conftest import export_tiny
+from pathlib import Path
+to_onnx.verify_forms = lambda _: os._exit(9)
+export_tiny(Path(sys.argv[1]), ("direction.step",))
+"""
+
+
+@pytest.mark.slow
+def test_what_a_killed_export_left_is_not_measured_and_goes_with_the_next(tmp_path, monkeypatch):
+    folder = tmp_path / "models"
+    assert subprocess.run([sys.executable, "-c", KILLED, str(folder)], check=False).returncode == 9
+    left = [file for file in folder.rglob("*.onnx") if file.parent != folder]
+    assert [file.name for file in left] == ["direction.step.onnx"], "it was killed in the middle"
+    monkeypatch.chdir(tmp_path)
+    assert main(["benchmark", "--seconds", "0.02"]) == 2, "there is nothing to measure"
+    export_tiny(folder, ("direction.step",))
+    assert list(tmp_path.rglob("*.onnx")) == [folder / "direction.step.onnx"]
 
 
 def test_an_empty_folder_is_named(tmp_path):

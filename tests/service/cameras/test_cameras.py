@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import structlog
 
 from service.cameras.capture import RETRY_S, Camera, CameraError, CameraFrame, Capture, now_ns
 from service.cameras.recorded import RecordingSource
@@ -145,8 +146,11 @@ def test_a_picture_that_comes_again_and_again_is_a_frozen_camera(kind: str) -> N
     camera.check_stall(900_000_000)
     assert faults == [("camera_frozen", "the same picture 20 times for 0.5 s from push:")]
     assert camera.state == "stalled"
-    camera._publish(Capture(10**9, np.full((8, 9, 3), 8, np.uint8)))
-    assert (len(frames), camera.state) == (2, "live")
+    with structlog.testing.capture_logs() as lines:
+        camera._publish(Capture(10**9, np.full((8, 9, 3), 8, np.uint8)))
+        camera._publish(Capture(10**9 + 1, np.full((8, 9, 3), 9, np.uint8)))
+    assert (len(frames), camera.state) == (3, "live")
+    assert [(line["finger"], line["code"]) for line in lines] == [("left", "live_again")], "once"
 
 
 def test_a_stamp_that_does_not_advance_is_no_new_frame() -> None:

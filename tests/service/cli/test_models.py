@@ -1,9 +1,11 @@
 """`python -m service models` states in one line why the service would refuse a folder."""
 
+import onnx
 import pytest
 
 from service.__main__ import main
 from tests.docs.commands import ROOT
+from tests.service import tiny_models
 
 
 def test_a_folder_without_models_is_one_line_and_exit_2(tmp_path, capsys):
@@ -20,6 +22,16 @@ def test_the_released_models_are_described(capsys):
     out = capsys.readouterr().out
     assert out.count(", decides") in {1, 2}
     assert "sha256" in out
+
+
+def test_networks_of_different_trainings_are_named(tmp_path, capsys):
+    folder = tiny_models.write_models(tmp_path)
+    assert main(["models", str(folder)]) == 0
+    assert "caution" not in capsys.readouterr().out
+    onnx.save(tiny_models.step_model("magnitude", training_run={"seed": 2}), str(folder / "magnitude.step.onnx"))
+    assert main(["models", str(folder)]) == 0
+    caution = "caution: tiny-direction and tiny-magnitude are from different trainings"
+    assert caution in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize(

@@ -46,6 +46,7 @@ def test_a_missing_card_says_how_to_make_one():
         ({"role": "joint", "grid_x_mm": [1.0, 0.0], "grid_theta_deg": [0.0, 1.0]}, "must rise"),
         ({"role": "joint", "grid_x_mm": [0.0, 1.0], "grid_theta_deg": [0.0, 0.0]}, "must rise"),
         ({"validation": {"accuracy": None}}, "validation.accuracy"),
+        ({"expectations": {"tolerance": [1e6, 3.5]}}, "expectations.tolerance"),  # its belief filled the memory
     ],
 )
 def test_a_bad_field_is_named(change, named):

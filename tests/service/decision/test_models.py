@@ -5,7 +5,7 @@ import numpy as np
 import onnx
 import pytest
 
-from service.contract import CARD_KEY, ContractError
+from service.contract import CARD_KEY, ContractError, ModelCard
 from service.contract.model_card import CONDITIONS
 from service.decision.evidence import DecisionRun, Refusal
 from service.decision.models import load_models
@@ -35,6 +35,15 @@ def test_two_models_that_disagree_are_refused(tmp_path: Path) -> None:
         load_models(folder)
 
 
+def test_networks_of_different_trainings_decide_together_with_a_caution(tmp_path: Path) -> None:
+    folder = tiny_models.write_models(tmp_path, training_run={"seed": 1})
+    assert load_models(folder).cautions == ()
+    for changed in ({"training_run": {"seed": 2}}, {"training_run": {"seed": 1}, "training_data_sha256": "f" * 64}):
+        onnx.save(tiny_models.step_model("magnitude", **changed), str(folder / "magnitude.step.onnx"))
+        (caution,) = load_models(folder).cautions
+        assert caution.startswith("tiny-direction and tiny-magnitude are from different trainings")
+
+
 def test_a_network_that_decides_alone_is_refused_beside_others_by_name(tmp_path: Path) -> None:
     folder = tiny_models.write_models(tmp_path)
     shutil.copy(RELEASED / "pair.step.onnx", folder)
@@ -60,6 +69,22 @@ def test_a_graph_that_is_not_what_its_card_says_is_refused(tmp_path: Path) -> No
     onnx.save(model, str(folder / "direction.step.onnx"))
     with pytest.raises(ContractError, match="its card says"):
         load_models(folder)
+
+
+def test_a_graph_that_gives_other_classes_or_another_grid_than_its_card_is_refused(tmp_path: Path) -> None:
+    folder = tiny_models.write_models(tmp_path / "pair")
+    few = tiny_models.step_model("direction")
+    onnx.helper.set_model_props(few, tiny_models.card("direction", "step", classes=tiny_models.CLASSES[:5]).to_props())
+    onnx.save(few, str(folder / "direction.step.onnx"))
+    with pytest.raises(ContractError, match=r"gives logits of \[9\], but its card promises \[5\]; export it again"):
+        load_models(folder)
+    joint = onnx.load(str(RELEASED.parent / "joint" / "joint.step.onnx"))
+    card = ModelCard.from_props({entry.key: entry.value for entry in joint.metadata_props})
+    narrow = card.model_copy(update={"grid_x_mm": card.grid_x_mm[:11], "self_test": None})
+    onnx.helper.set_model_props(joint, narrow.to_props())
+    onnx.save(joint, str(tmp_path / "joint.step.onnx"))
+    with pytest.raises(ContractError, match=r"gives log_density of \[41, 40\], but its card promises \[11, 40\]"):
+        load_models(tmp_path)
 
 
 def test_a_network_that_reads_another_order_of_colours_is_refused(tmp_path: Path) -> None:

@@ -24,3 +24,20 @@ def test_every_log_line_of_an_insertion_carries_its_id() -> None:
     assert [line["log_level"] for line in lines] == ["info", "warning", "warning", "info", "warning", "error"]
     assert lines[1]["reason"] == "no_motion"
     assert (lines[4]["event"], lines[5]["detail"]) == ("camera", "disk full")
+
+
+def test_the_log_says_why_an_insertion_was_given_up_or_not_claimed() -> None:
+    hub = Hub()
+    log_events(hub)
+    doubts = [
+        wire.Doubt(reason="push", detail="the gels still carry a push"),
+        wire.Doubt(reason="width", detail="gone"),
+    ]
+    with structlog.testing.capture_logs() as lines:
+        hub.publish("client", wire.Abort(insertion_id="logged", cause="limits", reason="limits: target: z 3.1 mm"))
+        hub.publish("client", wire.Abort(insertion_id="logged", cause="probed", reason="probed"))
+        ended = wire.Finished(insertion_id="logged", outcome="not_confirmed", attempts=1, cause="not_confirmed")
+        hub.publish("message", ended.model_copy(update={"doubts": tuple(doubts)}))
+    assert [(line["event"], line["log_level"]) for line in lines[:2]] == [("abort", "warning"), ("abort", "info")]
+    assert (lines[0]["cause"], lines[0]["reason"]) == ("limits", "limits: target: z 3.1 mm")
+    assert lines[2]["doubts"] == "the gels still carry a push; gone"

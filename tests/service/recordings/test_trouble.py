@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
+from service import __main__ as entry
 from service.contract import FINGERS, TactileFrame, encode_frame, wire
 from service.recordings.reader import Recording
 from service.recordings.writer import FINAL
@@ -95,6 +96,26 @@ def test_a_missing_folder_is_named_everywhere_and_comes_back(own: LiveService) -
     assert inserted(own, "after").is_dir()
     assert httpx.get(own.url("/readyz")).json()["recording"] == "ok"
     assert listed(own) == (["after"], [])
+
+
+def test_a_second_service_does_not_share_the_recordings_of_the_first(
+    own: LiveService, models_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    second = ["--models", str(models_folder), "--camera-left", "push:", "--camera-right", "push:", "--port", "0"]
+    second += ["--recordings", str(own.recordings), "--state", str(tmp_path / "second")]
+    capsys.readouterr()
+    assert entry.main(["run", *second]) == 2
+    why = f"another service keeps its recordings in {own.recordings}; give each its own --recordings"
+    assert capsys.readouterr().err.strip() == f"service run: {why}"
+    assert inserted(own, "goes-on").is_dir()
+
+
+def test_a_stopped_service_leaves_its_recordings_to_the_next(tmp_path: Path, models_folder: Path) -> None:
+    with live_service(tmp_path, models_folder) as first:
+        folder = inserted(first, "first")
+    with live_service(tmp_path, models_folder) as second:
+        assert listed(second) == (["first"], [])
+        assert folder.is_dir()
 
 
 def test_a_disk_that_is_nearly_full_is_said_before_it_is_full(

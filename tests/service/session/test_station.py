@@ -254,7 +254,10 @@ def test_a_station_makes_its_folder_and_gives_its_shadow_a_place(
         shadow=tmp_path if shadow else None,
     )
     for _ in range(2):
-        open_station(settings)._networks.shutdown()
+        station = open_station(settings)
+        station._networks.shutdown()
+        assert station.owned is not None
+        station.owned.close()
     assert settings.recordings.is_dir()
     assert given == [(tmp_path, True)] * 2 * shadow
 

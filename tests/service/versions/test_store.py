@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+import structlog
 
 from service.contract import ContractError
 from service.decision.models import load_models
@@ -36,6 +37,9 @@ while True:
             versions.promote()
             print("promoted", flush=True)
 """
+
+
+ROLES = ("direction", "magnitude")
 
 
 def quiet(_: str, __: object) -> None:
@@ -155,6 +159,19 @@ def test_a_shadow_that_is_refused_by_hand_leaves_no_problem_behind(tmp_path: Pat
             opened.give(three[1])
         assert opened.state().shadow.version == version_of(load_models(three[2]))
         assert opened.state().problem == ""
+
+
+def test_the_log_has_a_line_for_networks_that_only_guess_whether_they_decide_or_run_in_shadow(
+    tmp_path: Path, three: list[Path]
+) -> None:
+    guessing = tiny_models.write_models(tmp_path / "guessing", training_run={"untrained": "12 % are right"})
+    with structlog.testing.capture_logs() as lines:
+        Versions(tmp_path / "versions", load_models(guessing), quiet).close()
+    assert [line["caution"] for line in lines] == [f"tiny-{one} is untrained: 12 % are right" for one in ROLES]
+    sound = Versions(tmp_path / "other", load_models(three[0]), quiet)
+    with structlog.testing.capture_logs() as lines, contextlib.closing(sound):
+        sound.give(guessing)
+    assert {line["version"] for line in lines} == {version_of(load_models(guessing))}
 
 
 def test_two_services_do_not_share_their_versions(tmp_path: Path, three: list[Path]) -> None:

@@ -1,5 +1,6 @@
 """Alarms: however many come while nobody looks, a person reaches and acknowledges each of them."""
 
+import shutil
 from pathlib import Path
 
 import httpx
@@ -8,7 +9,7 @@ from service.contract import wire
 from service.web.page.alarms import EARLIER, KEPT_N, Alarms
 from service.web.page.status import SHOWN_ALARMS_N, Status
 from tests.service.client import Driver
-from tests.service.conftest import LiveService
+from tests.service.conftest import LiveService, live_service
 from tests.service.web.test_status import status, until
 
 
@@ -45,3 +46,23 @@ def test_the_oldest_of_too_many_unacknowledged_alarms_become_one_that_counts_the
     assert alarms.acknowledge(earlier.number)
     alarms.sound("insertion next", "stop", "Holding: all attempts used")
     assert [alarm.key for alarm in alarms.open][::49] == ["insertion next", "insertion 6"], "only the acknowledged goes"
+
+
+def test_insertions_that_are_not_recorded_raise_an_alarm_each_time_that_begins_and_only_then(
+    tmp_path: Path, models_folder: Path
+) -> None:
+    with live_service(tmp_path, models_folder) as live:
+        for _ in range(2):  # again, after the first was acknowledged and was over
+            live.recordings.mkdir(exist_ok=True)
+            assert status(live)["open_alarms_n"] == 0
+            shutil.rmtree(live.recordings)
+            assert [acknowledged(live), status(live)["open_alarms_n"]] == ["recording", 0]
+        live.station.hub.publish("error", "another alarm")
+        assert [acknowledged(live), status(live)["open_alarms_n"]] == ["service", 0]
+
+
+def acknowledged(live: LiveService) -> str:
+    """Acknowledge the only open alarm; its key."""
+    (alarm,) = (one for one in status(live)["alarms"] if not one["acknowledged_s"])
+    httpx.post(live.url(f"/v1/alarms/{alarm['number']}/acknowledge")).raise_for_status()
+    return alarm["key"]

@@ -60,3 +60,13 @@ def test_a_playback_says_when_the_service_does_not_answer(live: LiveService, pag
     page.locator("#close").click()
     page.get_by_label("play back later", exact=True).click()
     wait_until(page, "document.getElementById('then').textContent.includes('does not answer')")
+
+
+def test_a_history_that_cannot_be_read_says_so(live: LiveService, page: Any) -> None:
+    page.route("**/v1/recordings", lambda route: route.abort())
+    page.goto(live.url("/#history"))
+    wait_until(page, "document.getElementById('count').textContent.includes('does not answer')")
+    page.unroute("**/v1/recordings")
+    page.goto(live.url("/#live"))
+    page.goto(live.url("/#history"))
+    wait_until(page, "!document.getElementById('count').textContent.includes('does not answer')")

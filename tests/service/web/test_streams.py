@@ -129,18 +129,26 @@ def test_mjpeg_streams_each_finger_and_says_how_many_viewers_it_takes(
     assert closed.value.rcvd.code == 1013
 
 
-def test_a_service_that_stops_waits_for_no_viewer(live: LiveService, tmp_path: Path, models_folder: Path) -> None:
+@pytest.mark.parametrize("asked", [signal.SIGTERM, signal.SIGHUP])  # the latter by a terminal that is closed
+def test_a_service_that_stops_waits_for_no_viewer(
+    live: LiveService, tmp_path: Path, models_folder: Path, asked: signal.Signals
+) -> None:
     left, right = (f"--camera-{finger.finger}={finger.url}" for finger in live.fingers)
     calibration = f"--calibration={live.recordings.parent / 'calibration.toml'}"
     with service_process(models_folder, tmp_path / "recordings", left, right, calibration) as stopping:
-        with httpx.stream("GET", stopping.url("/v1/cameras/left/stream.mjpg"), timeout=30) as answer:
+        with (
+            connect(stopping.url("/v1/insertion", "ws"), compression=None),
+            httpx.stream("GET", stopping.url("/v1/cameras/left/stream.mjpg"), timeout=30) as answer,
+        ):
             pieces = answer.iter_bytes()
             next(pieces)
-            stopping.process.send_signal(signal.SIGTERM)
+            stopping.process.send_signal(asked)
             with contextlib.suppress(httpx.HTTPError):
                 collections.deque(pieces, maxlen=0)
         assert stopping.process.wait(20) == 0
-    assert "Traceback" not in "".join(stopping.log)
+    log = "".join(stopping.log)
+    assert "Traceback" not in log
+    assert "reason='the service stops'" in log, "the client did not leave by itself"
 
 
 def test_viewers_come_and_go_while_an_insertion_is_decided(live: LiveService) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from service.contract import ContractError
 from simulation.cli.dataset import collect
+from training.data.dataset import data_sha256, open_source
 from training.fit.checkpoint import Checkpoint
 from training.report.transfer import write_transfer
 
@@ -60,6 +61,14 @@ def test_a_network_that_turns_its_directions_around_loses_them(tmp_path, monkeyp
     assert other["direction"][0] < release["direction"][0]
     assert other["gained"][0] == pytest.approx(other["direction"][0] - release["direction"][0])
     assert other["mae_x_mm"] == release["mae_x_mm"]
+
+
+def test_a_network_that_was_trained_on_a_test_set_is_refused_by_name(tmp_path, monkeypatch, presses):
+    trained = replace(Checkpoint.load(RELEASE), training_data_sha256=data_sha256(open_source(str(presses))))
+    trained.save(tmp_path / "trained.pt")
+    with pytest.raises(ContractError, match="other was trained on the test set bristle; expected fresh presses"):
+        compared(tmp_path, monkeypatch, presses, tmp_path / "trained.pt")
+    assert not (tmp_path / "transfer.json").exists()
 
 
 def test_a_plan_with_a_wrong_key_is_refused_by_name(tmp_path):
