@@ -17,12 +17,14 @@ import structlog
 from numpy.typing import NDArray
 
 from service.contract import ContractError, Finger, FramePair, TactileFrame
+from service.contract.frames import FINGERS
 from service.contract.wire import CameraEntry, FaultCode
 
 RETRY_S = 0.25  # a returned camera is noticed within 1 s
 STALL_S = 0.5  # no frame for this long is a stall
 GLANCE_EVERY = 4  # without attention one frame in this many is decoded; the others only show that the camera lives
 MAX_BROKEN = 10  # consecutive undecodable JPEGs before the camera is reopened
+WAITING_N = 8  # frames that wait for the other finger's: 90 ms at 90 frames a second
 State = Literal["live", "stalled", "lost", "starting"]
 log = structlog.get_logger()
 
@@ -224,11 +226,12 @@ def _size(shape: tuple[int, ...]) -> str:
 class Pairer:
     """Pairs the two fingers' frames by capture time: each frame is used once, skew is bounded, newest wins.
 
-    Thread safe. The allowed skew is 0.6 of the slower camera's frame period.
+    Thread safe. The allowed skew is 0.6 of the slower camera's frame period. A camera whose pictures arrive several
+    periods after the other's still finds the frames that were taken with its own.
     """
 
     def __init__(self) -> None:
-        self._waiting: dict[Finger, TactileFrame] = {}
+        self._waiting: dict[Finger, deque[TactileFrame]] = {name: deque(maxlen=WAITING_N) for name in FINGERS}
         self._last: dict[Finger, int] = {}
         self._period_ns: dict[Finger, float] = {}
         self._lock = threading.Lock()
@@ -241,14 +244,18 @@ class Pairer:
         """Add a frame; returns the pair that it completes."""
         with self._lock:
             self._measure(frame)
-            other: Finger = "right" if frame.finger == "left" else "left"
-            partner = self._waiting.get(other)
-            if partner is None or abs(frame.captured_ns - partner.captured_ns) > self._allowed_ns():
-                self.dropped_n += frame.finger in self._waiting
-                self._waiting[frame.finger] = frame
+            mine = self._waiting[frame.finger]
+            others = self._waiting["right" if frame.finger == "left" else "left"]
+            allowed_ns = self._allowed_ns()
+            fits = (one for one in reversed(others) if abs(frame.captured_ns - one.captured_ns) <= allowed_ns)
+            if (partner := next(fits, None)) is None:
+                self.dropped_n += len(mine) == WAITING_N
+                mine.append(frame)
                 return None
-            del self._waiting[other]
-            self.dropped_n += self._waiting.pop(frame.finger, None) is not None
+            while others.popleft() is not partner:
+                self.dropped_n += 1
+            self.dropped_n += len(mine)
+            mine.clear()
             return FramePair(frame, partner) if frame.finger == "left" else FramePair(partner, frame)
 
     def _measure(self, frame: TactileFrame) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.cameras.capture import Pairer
+from service.cameras.capture import WAITING_N, Pairer
 from service.contract import Finger, FramePair, TactileFrame
 
 BLACK = np.zeros((4, 4, 3), np.uint8)
@@ -45,5 +45,20 @@ def test_the_worst_jitter_costs_at_most_half_of_the_pairs(phase_ms: float, jitte
 
 def test_a_silent_finger_pairs_with_nothing() -> None:
     pairer = Pairer()
-    assert all(pairer.add(frame("left", i, 33.3 * i)) is None for i in range(10))
-    assert pairer.dropped_n == 9
+    assert all(pairer.add(frame("left", i, 33.3 * i)) is None for i in range(20))
+    assert pairer.dropped_n == 20 - WAITING_N
+
+
+@given(arrives_ms=st.floats(0, 80), phase_ms=st.floats(-5.5, 5.5))
+def test_a_camera_whose_pictures_arrive_late_pairs_with_those_taken_at_the_same_time(
+    arrives_ms: float, phase_ms: float
+) -> None:
+    """As one behind a slower link: at 90 frames a second its pictures may come several periods after the other's."""
+    pairer, period_ms = Pairer(), 1000 / 90
+    frames = [(100 + period_ms * i, frame("left", i, 100 + period_ms * i)) for i in range(60)]
+    right = [frame("right", i, 100 + period_ms * i + phase_ms) for i in range(60)]
+    frames += [(one.captured_ns / 1e6 + arrives_ms, one) for one in right]
+    pairs = [pair for _, one in sorted(frames, key=lambda item: item[0]) if (pair := pairer.add(one))]
+    assert len(pairs) >= 58
+    assert all(abs(pair.left.captured_ns - pair.right.captured_ns) <= 0.61 * period_ms * 1e6 for pair in pairs)
+    assert pairer.dropped_n <= WAITING_N
