@@ -113,9 +113,9 @@ class Trainer:
         last = batch.length.clamp(max=self.most_steps) - 1
         return self.network.read_steps(fields, batch.geometry)[torch.arange(len(last)), last]
 
-    def decided_steps(self, chosen: NDArray[np.int64]) -> Tensor:
+    def decided_steps(self, chosen: NDArray[np.int64], rng: np.random.Generator | None = None) -> Tensor:
         """Normalised steps [N, 2, 3, rows, columns], one of each decision: in turn of those at which it may be made."""
-        batch = decisions(self.trials, chosen, None, pictures=False)
+        batch = decisions(self.trials, chosen, rng, pictures=False)
         assert batch.length is not None
         rows = torch.arange(len(chosen))
         after = FEWEST_STEPS + rows % (DECISION_STEPS - FEWEST_STEPS + 1)
