@@ -129,6 +129,15 @@ def test_mjpeg_streams_each_finger_and_says_how_many_viewers_it_takes(
     assert closed.value.rcvd.code == 1013
 
 
+@pytest.fixture
+def heeds_its_terminal() -> Iterator[None]:
+    """A service started under nohup goes on after SIGHUP, and the tests may have been started like that."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("heeds_its_terminal")
 @pytest.mark.parametrize("asked", [signal.SIGTERM, signal.SIGHUP])  # the latter by a terminal that is closed
 def test_a_service_that_stops_waits_for_no_viewer(
     live: LiveService, tmp_path: Path, models_folder: Path, asked: signal.Signals
