@@ -2,6 +2,7 @@ import pytest
 
 from tests.training.synthetic import SyntheticSource
 from training.config import DataConfig, RunConfig, StageConfig
+from training.fit import usual
 from training.fit.train import train
 from training.networks.settings import NetworkConfig
 
@@ -22,6 +23,14 @@ def trained(source, cache, tmp_path_factory):
     """A tiny run that is done: its config and its checkpoint. Its folder is to be read alone."""
     config = tiny(tmp_path_factory.mktemp("trained"), cache)
     return config, train(config, source)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def usual_fields_in_few_steps():
+    """The model of usual fields is fitted in less than a second; `test_strangeness` alone fits it in full."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(usual, "FITTED", 300)
+        yield
 
 
 @pytest.fixture

@@ -10,10 +10,12 @@ from torch import Tensor
 from service.contract import Sensor
 from training.data.faults import SHIFTS, with_faults
 from training.data.labels import CLASSES
-from training.fit.usual import learn_odds
+from training.fit import usual
 from training.networks.pressing import LATTICE, PressingNetwork
 from training.networks.settings import NetworkConfig
 from training.report.depths import auroc
+
+FITTED = usual.FITTED  # as it is before tests are run: the others fit in few steps
 
 
 def presses(seed: int, count: int = 600) -> Tensor:
@@ -37,7 +39,9 @@ def network() -> PressingNetwork:
     torch.manual_seed(0)
     new = PressingNetwork(NetworkConfig(kind="pressing", affine_fit=True), len(CLASSES), Sensor.load()).eval()
     new.trunk.affine.set_spread(presses(0))
-    learn_odds(new, presses(0))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(usual, "FITTED", FITTED)
+        usual.learn_odds(new, presses(0))
     return new
 
 
@@ -46,11 +50,11 @@ def strangeness(network: PressingNetwork, steps: Tensor) -> np.ndarray:
         return network.strangeness(network.encode(steps))[:, 0].numpy()
 
 
-@pytest.mark.parametrize("name", sorted(SHIFTS))
-def test_what_no_object_does_is_strange(network: PressingNetwork, name: str) -> None:
-    usual = presses(1)
-    shifted = torch.cat([SHIFTS[name](usual[:, :, :2]), usual[:, :, 2:]], 2)
-    assert auroc(strangeness(network, usual), strangeness(network, shifted)) > 0.95
+def test_what_no_object_does_is_strange(network: PressingNetwork) -> None:
+    pressed = presses(1)
+    faulty = {name: torch.cat([shift(pressed[:, :, :2]), pressed[:, :, 2:]], 2) for name, shift in SHIFTS.items()}
+    told_apart = {name: auroc(strangeness(network, pressed), strangeness(network, one)) for name, one in faulty.items()}
+    assert min(told_apart.values()) > 0.95, told_apart
 
 
 def test_no_motion_at_all_has_a_finite_strangeness(network: PressingNetwork) -> None:
@@ -60,5 +64,5 @@ def test_no_motion_at_all_has_a_finite_strangeness(network: PressingNetwork) -> 
 
 @given(seed=st.integers(0, 2**32 - 1))
 def test_each_press_gets_a_fault_that_changes_it(seed: int) -> None:
-    usual = presses(seed % 5, count=20)[:, :, :2]
-    assert ((with_faults(usual, torch.Generator().manual_seed(seed)) - usual).abs().amax((1, 2, 3, 4)) > 1e-3).all()
+    pressed = presses(seed % 5, count=20)[:, :, :2]
+    assert ((with_faults(pressed, torch.Generator().manual_seed(seed)) - pressed).abs().amax((1, 2, 3, 4)) > 1e-3).all()
