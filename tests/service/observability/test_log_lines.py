@@ -53,7 +53,8 @@ def test_a_closed_standard_error_ends_no_insertion(live: LiveService) -> None:
     try:
         driver = Driver(live, "unlogged")
         assert driver.until("hello").insertion_id == "unlogged"
-        assert driver.insert(1).outcome == "inserted"
+        finished = driver.insert(1)
+        assert finished.outcome == "inserted", finished.doubts
         driver.close()
     finally:
         structlog.reset_defaults()
