@@ -4,6 +4,7 @@ Steps of depth (`service.perception.pressing`) are fed as they are completed. Th
 last step, or with the available steps once the arm was ordered to stop: the depth of later frames is unknown.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,6 +34,14 @@ def network_pair(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
         return np.stack([marker_array(finger.field, card.markers) for finger in pair.fingers])
     except ValueError as error:
         raise Refusal("out_of_distribution", str(error)) from error
+
+
+def check_trained(card: ModelCard, conditions: Mapping[str, float | None], pair: PairObservation) -> None:
+    """Raise Refusal if a condition or the pitch of a finger's markers lies outside the networks' training range."""
+    for finger in pair.fingers:
+        pitch_mm = finger.field.pitch_px * card.profile.mm_per_px
+        if why := card.pressing.outside({**conditions, MARKER_PITCH: pitch_mm}) if card.pressing else "":
+            raise Refusal("out_of_distribution", why)
 
 
 def shows_press(moved_mm: Floats, press_mm: float, lattice: Lattice) -> bool:
@@ -169,8 +178,4 @@ class Descent:
         if len(stamps_ns) > 1:
             period_s = float(np.median(np.diff(stamps_ns))) * 1e-9
             self.conditions["frame_spacing_mm"] = period_s * float(self.conditions["speed_mm_s"] or 0.0)
-        pitch_mm = [finger.field.pitch_px * self.card.profile.mm_per_px for finger in pairs[-1].fingers]
-        for pitch in pitch_mm:
-            outside = self.card.pressing.outside(self.conditions | {MARKER_PITCH: pitch}) if self.card.pressing else ""
-            if outside:
-                raise Refusal("out_of_distribution", outside)
+        check_trained(self.card, self.conditions, pairs[-1])

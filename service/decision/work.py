@@ -14,7 +14,7 @@ from service.decision.consistency import turns_deg
 from service.decision.controllers import Command
 from service.decision.evidence import DecisionRun, Evidence, Refusal
 from service.decision.models import ModelSet
-from service.decision.network_input import Descent, network_pair
+from service.decision.network_input import Descent, check_trained, network_pair
 from service.perception.observation import Observation, PairObservation
 from service.settings import Deadlines
 
@@ -121,8 +121,8 @@ def decide_again(models: ModelSet, attempt: Attempt) -> Evidence:
     if card.pressing:
         if descent is None or descent.problem is not None:
             raise descent.problem if descent and descent.problem else Refusal("no_motion", "no step of depth was shown")
-        if why := card.pressing.outside(descent.conditions):  # its ranges may be narrower than the active version's
-            raise Refusal("out_of_distribution", why)
+        for pair in attempt.decision_pairs[-1:]:  # its ranges may be narrower than the active version's
+            check_trained(card, descent.conditions, pair)
         run, shown = _run_of_steps(models, attempt, descent), list(attempt.steps[: card.pressing.steps_n])
     else:
         if attempt.network_reference is None:

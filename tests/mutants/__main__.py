@@ -61,10 +61,11 @@ def nearest_first(module: str) -> list[str]:
 
 def killer(change: Mutant, copy: Copy, timeout_s: float, flaky: list[str]) -> str:
     """The first test that fails with the mutant, except for ``flaky`` ones; empty if there is none."""
-    path, files = Path(change.module), nearest_first(change.module)
-    (copy.root / path).write_text(change.source)
+    changed, files = copy.root / change.module, nearest_first(change.module)
+    before = changed.read_bytes()
+    changed.write_text(change.source)
     failed = copy.failure(change.module, [*files, *(f"--deselect={test}" for test in flaky)], timeout_s)
-    shutil.copy2(ROOT / path, copy.root / path)
+    changed.write_bytes(before)  # not from the working tree, where a person may go on meanwhile
     return failed
 
 
@@ -153,8 +154,8 @@ def home_of(change: Mutant) -> str:
     return next(room for room in ROOMS if change.module.startswith(f"{room}/"))
 
 
-def report_of(seed: int, chosen: list[Mutant], survivors: list[Mutant], known: list[dict]) -> dict:
-    """The published data; a person's notes about a ``known`` survivor stay."""
+def report_of(seed: int, of: str, chosen: list[Mutant], survivors: list[Mutant], known: list[dict]) -> dict:
+    """The published data ``of`` a commit; a person's notes about a ``known`` survivor stay."""
     known_as = {(row["module"], row["before"], row["after"]): row["judged"] for row in known}
     rows = []
     for change in survivors:
@@ -162,7 +163,7 @@ def report_of(seed: int, chosen: list[Mutant], survivors: list[Mutant], known: l
         rows.append(row | {"judged": known_as.get((change.module, change.before, change.after), UNJUDGED)})
     count, killed = len(chosen), len(chosen) - len(survivors)
     rooms = by_room(chosen, survivors)
-    return {"seed": seed, "commit": commit(), "count": count, "killed": killed, "rooms": rooms, "survivors": rows}
+    return {"seed": seed, "commit": of, "count": count, "killed": killed, "rooms": rooms, "survivors": rows}
 
 
 def main() -> int:
@@ -179,10 +180,10 @@ def main() -> int:
     path = options.out / f"{NAME}.json"
     report = json.loads(path.read_text()) if path.exists() else {"survivors": []}
     if not options.page:
-        chosen = drawn(options.count, options.seed)
+        chosen, of = drawn(options.count, options.seed), commit()
         with tempfile.TemporaryDirectory() as scratch:
             survivors = tried(chosen, options.workers, options.timeout_s, options.scratch or Path(scratch))
-        report = report_of(options.seed, chosen, survivors, report["survivors"])
+        report = report_of(options.seed, of, chosen, survivors, report["survivors"])
     publish(options.out, NAME, mutants_page(report), report)
     killed, count = report["killed"], report["count"]
     print(f"{killed} of {count} killed, {wilson(killed, count):.1%}")
