@@ -35,6 +35,8 @@ $(RUN_VENV)/ready: requirements/run.txt
 	@$(RUN_VENV)/bin/python requirements/install.py $(RUN_VENV)/bin/pip requirements/run.txt
 	@touch $@
 
+# Modules are compiled as they are imported: most never are.
+$(VENV)/ready: export PIP_COMPILE = 0
 $(VENV)/ready: requirements/test.txt requirements/torch.sh
 	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed, this is %d.%d; set PYTHON=" % sys.version_info[:2] if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)

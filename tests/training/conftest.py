@@ -27,7 +27,7 @@ def trained(source, cache, tmp_path_factory):
 
 @pytest.fixture(scope="session", autouse=True)
 def usual_fields_in_few_steps():
-    """The model of usual fields is fitted in less than a second; `test_strangeness` alone fits it in full."""
+    """The model of usual fields is fitted in less than a second: it tells faults from usual presses by then."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(usual, "FITTED", 300)
         yield

@@ -10,12 +10,10 @@ from torch import Tensor
 from service.contract import Sensor
 from training.data.faults import SHIFTS, with_faults
 from training.data.labels import CLASSES
-from training.fit import usual
+from training.fit.usual import learn_odds
 from training.networks.pressing import LATTICE, PressingNetwork
 from training.networks.settings import NetworkConfig
 from training.report.depths import auroc
-
-FITTED = usual.FITTED  # as it is before tests are run: the others fit in few steps
 
 
 def presses(seed: int, count: int = 600) -> Tensor:
@@ -39,9 +37,7 @@ def network() -> PressingNetwork:
     torch.manual_seed(0)
     new = PressingNetwork(NetworkConfig(kind="pressing", affine_fit=True), len(CLASSES), Sensor.load()).eval()
     new.trunk.affine.set_spread(presses(0))
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(usual, "FITTED", FITTED)
-        usual.learn_odds(new, presses(0))
+    learn_odds(new, presses(0))
     return new
 
 
