@@ -76,6 +76,18 @@ def test_what_turned_out_not_to_be_an_open_gel_is_forgotten_without_an_answer(se
     assert session.on_tick(100 * S) == []
 
 
+@pytest.mark.parametrize(("attempt", "pressed"), [(1, False), (2, True)])
+def test_an_attempt_that_only_armed_leaves_what_the_ones_before_it_pressed(
+    session: InsertionSession, attempt: int, *, pressed: bool
+) -> None:
+    """The second attempt of an insertion follows one that went down."""
+    arm(session)
+    assert session.attempt is not None
+    session.attempt.arm = session.attempt.arm.model_copy(update={"attempt": attempt})
+    gave_up = wire.Finished(insertion_id=ID, outcome="failed", attempts=attempt, cause="service")
+    assert bool(session.open_gels.after(gave_up, session.attempt)) == pressed
+
+
 @pytest.mark.parametrize("summary", ["whole", "recovered", "broken"])
 def test_a_service_that_starts_anew_knows_that_the_hand_was_not_opened(
     tmp_path: Path, models_folder: Path, summary: str

@@ -105,6 +105,11 @@ def test_a_frame_is_found_after_any_garbage_that_holds_no_preamble(garbage, comm
     assert StreamParser().feed(garbage + wire)[-1:] == [Frame(command, payload)]
 
 
+def test_a_header_longer_than_any_frame_hides_no_frame_after_it():
+    too_long = codec.PREAMBLE + struct.pack("<BH", Command.MOVE, codec.MAX_PAYLOAD_BYTES + 1)
+    assert StreamParser().feed(too_long + codec.encode_frame(Command.STOP, b"")) == [Frame(Command.STOP, b"")]
+
+
 @given(st.lists(st.tuples(st.integers(0, 0xA9), st.binary(max_size=30)), max_size=6), st.data())
 def test_segmentation_changes_nothing(frames, data):
     wire = b"".join(codec.encode_frame(*frame) for frame in frames)

@@ -68,6 +68,18 @@ def test_the_controller_is_asked_and_its_program_started_and_stopped(omnicore):
     assert stopped == "controller confirms: program stopped"
 
 
+def test_a_proxy_of_the_environment_never_comes_between_the_client_and_its_controller(omnicore, monkeypatch):
+    for name in ("http_proxy", "https_proxy", "all_proxy"):
+        monkeypatch.setenv(name, "http://127.0.0.1:9")  # nobody answers there
+    monkeypatch.delenv("no_proxy", raising=False)
+    monkeypatch.delenv("NO_PROXY", raising=False)
+
+    async def work(rws, _cell):
+        return await closed(RwsClient(rws), RwsClient.status)
+
+    assert story_of(work, omnicore=omnicore).operating_mode == "AUTO"
+
+
 def test_every_start_is_from_main_and_continues_no_stopped_motion(omnicore):
     async def work(rws, cell):
         async def call(client):

@@ -178,7 +178,9 @@ def test_few_or_collinear_markers_are_unknown(count):
 def test_a_lost_finger_stops_the_arm_after_a_while():
     fields, _ = patch_fields(rigid(), frames=12)
     dark = [replace(f, status="lost", valid=np.zeros_like(f.valid)) for f in fields[2:]]
+    dark[-2] = replace(dark[-2], reason="black")
     states = states_of(fields[:2] + dark)
+    assert [state.reason for state in states[-2:]] == ["black", "lost"]
     assert states[1].state == "unknown"
     assert states[-1].state == "lost"
     assert states[-1].stop
@@ -187,7 +189,8 @@ def test_a_lost_finger_stops_the_arm_after_a_while():
 def test_an_empty_field_and_a_changed_grid_are_unknown():
     fields, _ = patch_fields(rigid(), frames=3)
     detector = SlipDetector()
-    assert detector.update(fields[0]).state == "unknown"
+    assert (first := detector.update(fields[0])).state == "unknown"
+    assert first.residual_px.shape == fields[0].rest_px.shape
     detector.rearm(empty_field(0, "no_grid", "black"))
     assert not detector.armed
     detector.rearm(fields[0])
