@@ -11,6 +11,8 @@ from pathlib import Path
 
 from hypothesis import HealthCheck, settings
 
+from service.session.memory import stop_searching_what_stays
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when numpy and torch are imported
 os.environ["TACTILE_STATE"] = tempfile.mkdtemp(prefix="tactile-state-")  # never the token of who runs the tests
 # All servers are the tests' own; otherwise each client would read the machine's 150 authorities in 50 ms.
@@ -19,3 +21,8 @@ os.environ["SSL_CERT_FILE"] = str(Path(__file__).with_name("authority.pem"))
 settings.register_profile("explore", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("same everywhere", parent=settings.get_profile("explore"), derandomize=True, max_examples=50)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same everywhere"))
+
+
+def pytest_collection_finish() -> None:
+    """As the service does: searching all that was imported would stop every thread for a third of a second."""
+    stop_searching_what_stays()
