@@ -4,7 +4,7 @@ Steps of depth (`service.perception.pressing`) are fed as they are completed. Th
 last step, or with the available steps once the arm was ordered to stop: the depth of later frames is unknown.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -36,10 +36,12 @@ def network_pair(card: ModelCard, pair: PairObservation) -> NDArray[Any]:
         raise Refusal("out_of_distribution", str(error)) from error
 
 
-def check_trained(card: ModelCard, conditions: Mapping[str, float | None], pair: PairObservation) -> None:
-    """Raise Refusal if a condition or the pitch of a finger's markers lies outside the networks' training range."""
-    for finger in pair.fingers:
-        pitch_mm = finger.field.pitch_px * card.profile.mm_per_px
+def check_trained(card: ModelCard, conditions: Mapping[str, float | None], pairs: Sequence[PairObservation]) -> None:
+    """Raise Refusal if a condition, or a marker pitch in ``pairs``, is outside the networks' training range."""
+    pitches_mm: list[float | None] = [
+        finger.field.pitch_px * card.profile.mm_per_px for pair in pairs for finger in pair.fingers
+    ]
+    for pitch_mm in pitches_mm or [None]:  # without pairs, the conditions alone
         if why := card.pressing.outside({**conditions, MARKER_PITCH: pitch_mm}) if card.pressing else "":
             raise Refusal("out_of_distribution", why)
 
@@ -178,4 +180,4 @@ class Descent:
         if len(stamps_ns) > 1:
             period_s = float(np.median(np.diff(stamps_ns))) * 1e-9
             self.conditions["frame_spacing_mm"] = period_s * float(self.conditions["speed_mm_s"] or 0.0)
-        check_trained(self.card, self.conditions, pairs[-1])
+        check_trained(self.card, self.conditions, pairs[-1:])

@@ -121,8 +121,8 @@ def decide_again(models: ModelSet, attempt: Attempt) -> Evidence:
     if card.pressing:
         if descent is None or descent.problem is not None:
             raise descent.problem if descent and descent.problem else Refusal("no_motion", "no step of depth was shown")
-        for pair in attempt.decision_pairs[-1:]:  # its ranges may be narrower than the active version's
-            check_trained(card, descent.conditions, pair)
+        # its ranges may be narrower than the active version's
+        check_trained(card, descent.conditions, attempt.decision_pairs[-1:])
         run, shown = _run_of_steps(models, attempt, descent), list(attempt.steps[: card.pressing.steps_n])
     else:
         if attempt.network_reference is None:

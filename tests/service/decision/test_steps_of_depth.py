@@ -223,8 +223,14 @@ def test_networks_beside_are_given_the_very_steps_that_those_were_that_decided(m
     assert (again.error, again.sigma) == (mine.error, mine.sigma)
     assert np.array_equal(again.probabilities, mine.probabilities)
     assert attempt.run.frames_n == len(attempt.steps)
-    wider = {"marker_pitch_mm": Span(low=3.0, high=4.0)}
-    for stated in ({"strangeness_limit": 1e-30}, {"trained": wider}):
+    for stated in (
+        {"strangeness_limit": 1e-30},
+        {"trained": {"marker_pitch_mm": Span(low=3.0, high=4.0)}},
+        {"trained": {"gap_width_mm": Span(low=80.0, high=120.0)}},
+    ):
         with pytest.raises(Refusal) as refused:
             decide_again(made(**stated), attempt)
         assert refused.value.reason == "out_of_distribution"
+    attempt.decision_pairs.clear()
+    with pytest.raises(Refusal, match="gap_width_mm"):
+        decide_again(made(**stated), attempt)
