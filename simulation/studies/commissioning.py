@@ -145,8 +145,7 @@ def commission(cell: Cell, plan: Plan) -> Row:
     row["released"] = _scored(cell, plan, "released", plan.models)
     outcomes = {}
     for name, episodes in _lessons(cell, plan, labelled).items():
-        pressed = None if name == AFTER_WORK else around
-        outcomes[name], models = _adapted(cell, plan, name, episodes, pressed)
+        outcomes[name], models = _adapted(cell, plan, name, episodes, around)
         row[name] = row["released"] if models is None else _scored(cell, plan, models.parent.name, models)
     return {
         "after_150": row["after_50"],
