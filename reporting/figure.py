@@ -59,6 +59,6 @@ def _tell_scale(axis: Any) -> None:
         axis.set_label_text(f"{text} (not from 0)")
 
 
-def label(panel: Any, point: tuple[float, float], text: str, *, colour: str = "black", dy: float = 4.0) -> None:
-    """Write a name beside its point, ``dy`` points above it."""
-    panel.annotate(text, point, color=colour, fontsize=7, xytext=(4, dy), textcoords="offset points")
+def label(panel: Any, point: tuple[float, float], text: str, *, colour: str = "black") -> None:
+    """Write a name above and beside its point."""
+    panel.annotate(text, point, color=colour, fontsize=7, xytext=(4, 4), textcoords="offset points")

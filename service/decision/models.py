@@ -122,9 +122,6 @@ class ModelSet:
             cautions.append(f"{names} are from different trainings: no figure of either was measured with the other")
         return tuple(cautions)
 
-    def role(self, role: str) -> LoadedModel | None:
-        return next((step for step in self.steps if step.card.role == role), None)
-
 
 def load_model(path: Path) -> LoadedModel:
     """Open, check and warm up one ONNX file; raise ModelError if it is unreadable, lacks a card, or contradicts it."""

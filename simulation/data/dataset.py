@@ -151,15 +151,11 @@ class Dataset:
         self._groups: OrderedDict[tuple[int, int], list[dict[str, Any]]] = OrderedDict()
         self._renderers: OrderedDict[Appearance, Any] = OrderedDict()
         self._files: dict[int, Any] = {}
-        columns: dict[str, list[Any]] = {name: [] for name in SCALARS}
         self._where: list[tuple[int, int]] = []
         for shard, entry in enumerate(self.manifest.shards):
             entry.must_be_whole(self.path, verify=verify)
-            own = self._label_columns(shard)
-            for name in SCALARS:
-                columns[name] += own[name]
+            self._must_be_labelled(shard)
             self._where += [(shard, row) for row in range(entry.trials)]
-        self.labels: dict[str, NDArray[Any]] = {name: np.asarray(values) for name, values in columns.items()}
 
     def __len__(self) -> int:
         return len(self._where)
@@ -202,8 +198,8 @@ class Dataset:
                 raise DatasetError(f"{path}: its columns are not those of sensor {sensor}")
         return self._files[shard]
 
-    def _label_columns(self, shard: int) -> dict[str, list[Any]]:
-        columns: dict[str, list[Any]] = self._file(shard).read(columns=list(SCALARS)).to_pydict()
+    def _must_be_labelled(self, shard: int) -> None:
+        columns = self._file(shard).read(columns=list(SCALARS)).to_pydict()
         name = self.path / self.manifest.shards[shard].name
         for label in LABELS:
             if not np.isfinite(np.asarray(columns[label], float)).all():
@@ -211,7 +207,6 @@ class Dataset:
         if len(columns["x_mm"]) != self.manifest.shards[shard].trials:
             stated = self.manifest.shards[shard].trials
             raise DatasetError(f"{name}: {len(columns['x_mm'])} trials, the manifest says {stated}")
-        return columns
 
     def _row_group(self, shard: int, group: int) -> list[dict[str, Any]]:
         key = (shard, group)

@@ -73,7 +73,7 @@ class ForeignCell:
         self.held, self.readout = HeldSurface(scene.object), Readout(face, scene.sensor)
         self.bodies = Bodies(scene, active)
         self.pose, self.tilt_rad = np.zeros(4), 0.0
-        self.residual_n, self.iterations = 0.0, 0
+        self.residual_n = 0.0
         self.grasp_lost = False
         self.pace_mm_s = scene.speed_mm_s
         self._slid = np.zeros(len(self.pads.side), np.bool_)
@@ -144,7 +144,6 @@ class ForeignCell:
                 step.guess(share * on, share * motion)
         self._pace = None
         residual = step.solve(TOLERANCE_N)
-        self.iterations += step.iterations
         if not residual <= TOLERANCE_N:  # NaN means not at rest, too
             step.undo()
             return False

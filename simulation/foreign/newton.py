@@ -71,7 +71,7 @@ class Step:
     def __init__(self, pads: Pads, held: HeldSurface, drive: Drive, grip: Grip) -> None:
         self.pads, self.held, self.drive, self.grip, self.start = pads, held, drive, grip, grip.on.copy()
         self.planes: Planes = pads.planes(held, grip.on)
-        self.iterations, self._guessed = 0, False
+        self._guessed = False
         self._before, self._memory = grip.copy(), drive.memory()
 
     def guess(self, on: Array, motion: Array) -> None:
@@ -151,7 +151,6 @@ class Step:
                 grip, self.planes, self.start, terms.status
             ):
                 terms = pads.evaluate(grip, self.planes, self.start, limit)
-            self.iterations += 1
             self._improve(terms, lines, push, follow=limit is None)
         return np.inf
 

@@ -78,7 +78,7 @@ class LayerPads:
 
     def __init__(self, scene: Scene, active: Active, kernel: Kernel | None, nodes: Records, constants: Records) -> None:
         gel, grasp = scene.gel, scene.grasp
-        self.rounds, self.unsettled, self._settle_mm = 0, False, scene.numerics.settle_mm
+        self.unsettled, self._settle_mm = False, scene.numerics.settle_mm
         creeps = active.relaxation and gel.relaxation_share > 0.0
         self._relaxation = Relaxation(gel.relaxation_share, gel.relaxation_s) if creeps else None
         bends = active.finger_compliance and grasp.finger_stiffness_n_per_mm > 0.0
@@ -170,7 +170,6 @@ class LayerPads:
         """Iterate the anchors around `solve` until they rest; returns its status, or STALLED if they do not."""
         anchors, mixing, self.unsettled = self._anchors, Anderson(), False
         for _ in range(MAX_ROUNDS):
-            self.rounds += 1
             self._place_anchors(anchors, before)
             status = solve()
             if status != load_step.SETTLED:
@@ -190,7 +189,6 @@ class LayerPads:
         """
         anchors, before = self._anchors, self.surface
         for done in range(rounds):
-            self.rounds += 1
             self._place_anchors(anchors, before)
             status = solve(arrived=done > 0)
             if status != load_step.SETTLED:

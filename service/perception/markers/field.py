@@ -15,6 +15,7 @@ BoolArray = NDArray[np.bool_]
 
 
 _CARRIED = 2  # steps; a grid further outside its lattice belongs to another camera
+_TOUCHED_N_PER_MM2 = 1e-4  # a simulated node under this pressure is in contact
 _OTHER_PITCH = 0.15  # a grid whose pitch is this much off is another sensor's, not one with markers missing
 
 
@@ -86,14 +87,12 @@ def empty_field(captured_ns: int, status: TrackStatus, reason: str) -> MarkerFie
     return MarkerField(nothing, nothing, np.zeros((0, 0), np.bool_), None, 1.0, captured_ns, status, reason)
 
 
-def field_from_gel(
-    gel: NDArray[np.floating], captured_ns: int, sensor: Sensor, *, contact_pressure_n_per_mm2: float = 1e-4
-) -> MarkerField:
+def field_from_gel(gel: NDArray[np.floating], captured_ns: int, sensor: Sensor) -> MarkerField:
     """The true field of a simulated gel, so that slip and onset run without an image.
 
     ``gel`` [rows, cols, 3] is (du_mm, dv_mm, pressure_n_per_mm2) at the markers' rest positions in the finger frame.
-    Nodes pressed above the limit are in contact. Raises ValueError if the shape is not the sensor's; non-finite nodes
-    come out invalid with zero displacement.
+    Pressed nodes are in contact. Raises ValueError if the shape is not the sensor's; non-finite nodes come out invalid
+    with zero displacement.
     """
     expected = (sensor.marker_rows, sensor.marker_columns, 3)
     if gel.shape != expected:
@@ -103,7 +102,7 @@ def field_from_gel(
     displacement = np.where(valid[..., None], state[..., :2], 0.0) * np.float32(
         sensor.marker_pitch_px / sensor.marker_pitch_mm
     )
-    contact: BoolArray = valid & (state[..., 2] > contact_pressure_n_per_mm2)
+    contact: BoolArray = valid & (state[..., 2] > _TOUCHED_N_PER_MM2)
     rest_px, pitch_px = sensor.marker_rest_px(), sensor.marker_pitch_px
     return MarkerField(rest_px, displacement.astype(np.float32), valid, contact, pitch_px, captured_ns)
 

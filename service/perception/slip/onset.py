@@ -41,11 +41,6 @@ class OnsetDetector:
         self.disarm()
         self._reference = field if field.usable else None
 
-    @property
-    def onset(self) -> Onset | None:
-        """The onset, None while nothing has moved."""
-        return self._onset
-
     def update(self, field: MarkerField) -> Onset | None:
         """Classify one field; fields without new evidence count as frames but change nothing."""
         self._index += 1

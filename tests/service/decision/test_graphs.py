@@ -118,12 +118,6 @@ def test_two_networks_decide_together_or_one_alone(names: tuple[str, ...], why: 
     assert [one.card.role for one in _choose_steps(Path("models"), candidates)] == sorted(names)
 
 
-def test_a_network_is_found_by_its_role() -> None:
-    models = ModelSet(tuple(roles("direction", "magnitude")), ())
-    assert models.role("magnitude") is models.steps[1]
-    assert models.role("joint") is None
-
-
 LOGITS = np.log(np.arange(1.0, 10.0))[None]
 
 

@@ -35,8 +35,7 @@ def inputs(binary: bool) -> list:
 def expected(live: LiveService) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(0)
     frame, reference = rng.integers(0, 255, SHAPE, np.uint8), rng.integers(0, 255, SHAPE, np.uint8)
-    step = live.station.models.role("direction")
-    assert step is not None
+    step = next(one for one in live.station.models.steps if one.card.role == "direction")
     return step.run({"frame": frame, "reference": reference, "state": np.ones((1, 6), np.float32)})
 
 

@@ -40,7 +40,8 @@ def test_it_is_collected_and_probed(box, tmp_path, capsys):
     out = tmp_path / "data"
     size = ["--trials-per-object", "1", "--trials-per-shard", "1", "--workers", "1"]
     assert main(["collect", "--objects", str(box), "--out", str(out), *size]) == 0
-    assert set(Dataset(out).labels["object_name"]) == {"box"}
+    dataset = Dataset(out)
+    assert {dataset.trial(index).object_name for index in range(len(dataset))} == {"box"}
     assert main(["probe", str(box)]) == 0
     assert "outcome blocked" in capsys.readouterr().out
 

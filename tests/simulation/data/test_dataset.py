@@ -54,7 +54,8 @@ def test_another_process_draws_the_same_bits(folder: Path) -> None:
 
 
 def test_every_trial_states_its_split(folder: Path) -> None:
-    splits = list(Dataset(folder).labels["split"])
+    dataset = Dataset(folder)
+    splits = [dataset.trial(index).split for index in range(len(dataset))]
     assert [splits.count(split) for split in ("train", "validation", "test")] == [12, 6, 6]
 
 
