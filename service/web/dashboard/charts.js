@@ -20,7 +20,7 @@ const gapsOver = (most) => (plot, line, first, last) => {
   return known.slice(1).flatMap((i, k) => (x[i] - x[known[k]] > most ? [[at(known[k]), at(i)]] : []));
 };
 
-// One chart: `lines` are {label, colour, values, points}; `x` what they stand over, numbers or, with `gap`, seconds;
+// One chart: `lines` are {label, colour, values, points, dash}; `x` what they stand over, numbers or, with `gap`, seconds;
 // charts of one `key` share a cursor.
 export async function chart(place, { title, unit, x, lines, key, height, range, onCursor, gap, axis = "", scales = {} }) {
   const uPlot = await library();
@@ -35,7 +35,7 @@ export async function chart(place, { title, unit, x, lines, key, height, range, 
     cursor: { sync: { key }, drag: { x: false, y: false }, points: { show: false } },
     scales: { x: { time: false, ...scales }, y: range ? { range } : {} },
     axes: [{ stroke: quiet, grid, font, size: 1.7 * rem, ...(gap ? {} : { incrs: [1, 2, 5, 10, 20, 50, 100] }), values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : `${tick}${axis}`)) }, { stroke: quiet, grid, font, size: (gap ? 4.3 : 3.4) * rem, values: (_, ticks) => ticks.map((tick) => `${tick}${unit}`) }],
-    series: [{}, ...lines.map((line) => ({ label: line.label, stroke: colour(line.colour), width: line.points ? 0 : 2, ...(gap ? { gaps: gapsOver(gap) } : { spanGaps: true }), points: { show: Boolean(line.points), size: 6, fill: colour(line.colour) } }))],
+    series: [{}, ...lines.map((line) => ({ label: line.label, stroke: colour(line.colour), width: line.points ? 0 : 2, dash: line.dash, ...(gap ? { gaps: gapsOver(gap) } : { spanGaps: true }), points: { show: Boolean(line.points), size: 6, fill: colour(line.colour) } }))],
     hooks: onCursor ? { setCursor: [(plot) => { if (plot.cursor.left >= 0 && plot.cursor.event) onCursor(plot.posToVal(plot.cursor.left, "x")); }] } : {},
   };
   const made = new uPlot(options, [x, ...lines.map((line) => line.values)], place);

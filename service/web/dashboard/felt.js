@@ -1,5 +1,7 @@
-// A finger's imprint in grey, and over it how its markers moved: by colour, which of them slip.
+// A finger's imprint in grey, and over it how its markers moved: by colour and shape, which of them slip.
 const COLOURS = ["#8fa0b0", "#35c6c0", "#ff5b45"];
+const [OUTSIDE, SLIPS] = [0, 2]; // a dashed arrow, and one from a square spot: grey eyes see no colour
+const SPOT = 3;
 const GAIN = 4;
 const STATES = { no_contact: "touches nothing", grasping: "being closed", hold: "holds still", contact: "feels an edge", incipient_slip: "slip begins", gross_slip: "slides", release: "lets go", lost: "sees no markers", unknown: "not judged", watching: "live picture" };
 
@@ -22,10 +24,12 @@ export function drawFelt(canvas, caption, content) {
 function arrows(pen, { rest, moved, kinds }, kind, scale) {
   pen.strokeStyle = pen.fillStyle = COLOURS[kind];
   pen.lineWidth = 1.5 + 0.6 * kind;
+  pen.setLineDash(kind === OUTSIDE ? [5, 4] : []);
   pen.beginPath();
   kinds.forEach((one, i) => {
     if (one !== kind) return;
     const x = rest[2 * i] * scale, y = rest[2 * i + 1] * scale;
+    if (kind === SLIPS) pen.fillRect(x - SPOT, y - SPOT, 2 * SPOT, 2 * SPOT);
     const dx = GAIN * moved[2 * i] * scale, dy = GAIN * moved[2 * i + 1] * scale, long = Math.hypot(dx, dy);
     pen.moveTo(x, y);
     pen.lineTo(x + dx, y + dy);

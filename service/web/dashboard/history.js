@@ -1,5 +1,5 @@
 // Insertions of the past: a table with filters, and how attempts, intervals and reach have gone.
-import { ask, at, element, ending } from "/dashboard/dom.js";
+import { ask, at, element, ending, renew } from "/dashboard/dom.js";
 import { chart } from "/dashboard/charts.js";
 import { play } from "/dashboard/player.js";
 
@@ -34,13 +34,13 @@ function show() {
   const chosen = all.filter((one) => Object.entries(FILTERS).every(([key, id]) => at(id).value === "*" || (one[key] ?? "") === at(id).value));
   const inserted = chosen.filter(({ outcome }) => outcome === "inserted"), ended = chosen.filter(({ outcome }) => outcome !== "aborted"); // by a person, as a probe, or to be regrasped
   at("count").textContent = ended.length ? `${inserted.length} of ${ended.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}` : chosen.length ? `${chosen.length} aborted` : "none";
-  at("past").replaceChildren(...chosen.slice(0, 500).map(row));
+  renew(at("past"), chosen.slice(0, 500).map(row));
   trend(ended.slice(0, 500).reverse());
 }
 
 function row(one) {
   const cell = (textContent, className = "") => element("td", { textContent, className });
-  const button = element("button", { type: "button", textContent: "Play", ariaLabel: `play back ${one.insertion_id}`, title: one.insertion_id, onclick: () => play(one) });
+  const button = element("button", { type: "button", value: one.name, textContent: "Play", ariaLabel: `play back ${one.insertion_id}`, title: one.insertion_id, onclick: () => play(one) });
   return element("tr", {}, cell(one.started.slice(5, 16)), cell(words(one.object) || "–"), cell(ending(one), one.outcome === "inserted" ? "good" : one.outcome === "aborted" ? "" : "bad"), cell(words(one.cause)), cell(one.attempts), cell(one.seconds?.toFixed(1) ?? "–"), element("td", {}, button));
 }
 

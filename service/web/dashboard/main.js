@@ -1,5 +1,5 @@
 // The page shows one state, which the service sends whole on connecting and after each change; it keeps none of its own.
-import { ask, at, element, withToken } from "/dashboard/dom.js";
+import { ask, at, element, renew, say, withToken } from "/dashboard/dom.js";
 import { drawFelt } from "/dashboard/felt.js";
 import { drawAbove, drawSide } from "/dashboard/place.js";
 import { listPast } from "/dashboard/history.js";
@@ -17,11 +17,9 @@ let grew = { count: undefined, at: -Infinity };
 function show(status) {
   const { headline, running, last, alarms } = status;
   today = new Date(1000 * status.now_s).toDateString();
-  at("headline").className = headline.level;
-  if (at("words").textContent !== headline.words) at("words").textContent = headline.words;
-  at("detail").textContent = headline.detail;
+  showHeadline(headline);
   const stop = alarms.find((alarm) => alarm.level === "stop" && !alarm.acknowledged_s);
-  at("acknowledge").hidden = headline.level !== "stop" || !stop;
+  showAcknowledge(headline.level === "stop" && stop);
   at("acknowledge").onclick = () => acknowledge(stop.number);
   drawAbove(at("above"), running);
   drawSide(at("side"), running);
@@ -30,6 +28,19 @@ function show(status) {
   at("events").replaceChildren(...status.events.map(({ at_s, text }) => element("li", {}, element("time", { textContent: clock(at_s) }), element("span", { textContent: text }))));
   showHealth(status.health);
   if (last?.insertion_id !== newest) { newest = last?.insertion_id; listPast(); }
+}
+
+function showHeadline({ level, words, detail }) {
+  at("headline").className = level;
+  at("words").ariaLive = level === "stop" ? "assertive" : "polite";
+  say("words", words);
+  say("detail", detail);
+}
+
+function showAcknowledge(wanted) {
+  const worked = document.activeElement === at("acknowledge");
+  at("acknowledge").hidden = !wanted;
+  if (worked && !wanted) at("words").focus(); // else the keyboard would be nowhere
 }
 
 function showNext(running, last) {
@@ -48,7 +59,7 @@ const SIGNS = { stop: "■", warning: "▲" };
 let listed = "";
 
 function showAlarms(alarms, open) {
-  at("open-alarms").textContent = open || "";
+  say("open-alarms", open ? String(open) : "");
   const list = JSON.stringify([today, alarms]);
   if (list === listed) return; // a list that is worked on stays put
   listed = list;
@@ -60,9 +71,7 @@ function showAlarms(alarms, open) {
     if (!alarm.acknowledged_s) item.append(element("button", { type: "button", value: alarm.number, textContent: "Seen", ariaLabel: `acknowledge: ${alarm.title}`, onclick: () => acknowledge(alarm.number) }));
     return item;
   });
-  const worked = at("alarms").contains(document.activeElement) ? document.activeElement.value : undefined;
-  at("alarms").replaceChildren(...(shown.length ? shown : [element("li", { textContent: "None" })]));
-  if (worked !== undefined) (at("alarms").querySelector(`button[value="${worked}"]`) ?? at("alarms")).focus();
+  renew(at("alarms"), shown.length ? shown : [element("li", { textContent: "None" })]);
 }
 
 async function acknowledge(number) {
@@ -98,9 +107,9 @@ function view() {
 }
 
 function showLost([words, detail]) {
-  at("headline").className = "stop";
-  if (at("words").textContent !== words) at("words").textContent = words;
-  at("detail").textContent = detail;
+  showHeadline({ level: "stop", words, detail });
+  showAcknowledge(false);
+  at("health").replaceChildren(element("li", { className: "bad", textContent: "not connected" }));
 }
 
 // The service sends its state every second. A link that is half open never closes, so silence ends it, too.

@@ -3,12 +3,12 @@ import { ask, at, element, ending, withToken } from "/dashboard/dom.js";
 import { chart } from "/dashboard/charts.js";
 import { drawFelt } from "/dashboard/felt.js";
 
-let shown = null; // {base, moments, events, plots} of the recording that is open; answers for another one come too late
+let shown = null; // {name, base, moments, events, plots} of the recording that is open; answers for another one come too late
 let timer = null;
 let asked = 0;
 
 export async function play(one) {
-  const mine = shown = { base: `/v1/recordings/${one.name}`, moments: [], events: [], plots: [] };
+  const mine = shown = { name: one.name, base: `/v1/recordings/${one.name}`, moments: [], events: [], plots: [] };
   at("player-title").textContent = `${one.started} UTC: ${one.object ?? "object"}, ${ending(one)} after ${one.attempts} attempt${one.attempts === 1 ? "" : "s"}`;
   at("download").href = withToken(mine.base);
   at("answer").hidden = true;
@@ -37,7 +37,7 @@ async function draw(mine, { slip, push, depth, moments }) {
   at("curves").replaceChildren(place);
   const end = Math.max(1, moments.at(-1)?.t ?? 1, depth[0].at(-1) ?? 1);
   const common = { key: "player", height: Math.max(110, Math.round(innerHeight / 6.2)), axis: " s", gap: 0.3, onCursor: seek, scales: { range: () => [0, end] } };
-  const two = ([x, [left, right]]) => ({ x, lines: [{ label: "left", colour: "busy", values: left }, { label: "right", colour: "warn", values: right }] });
+  const two = ([x, [left, right]]) => ({ x, lines: [{ label: "left", colour: "busy", values: left }, { label: "right, dashed", dash: [6, 4], colour: "warn", values: right }] });
   for (const one of [
     { ...common, ...two(aligned([slip.left, slip.right])), title: "Slip (1: the arm stops)", unit: "", range: [0, 1.5] },
     { ...common, ...two(aligned([push.left, push.right])), title: "Force: push that the gels carry, in marker pitches", unit: "" },
@@ -75,6 +75,7 @@ function stop() {
   clearInterval(timer);
   timer = null;
   at("play").textContent = "Play";
+  at("then").ariaLive = "polite";
 }
 
 at("scrub").oninput = () => { stop(); show(); };
@@ -82,12 +83,14 @@ at("close").onclick = () => at("player").close();
 at("player").onclose = () => {
   stop();
   for (const plot of shown?.plots ?? []) plot.destroy(); // else its cursor would go on following those of the next
+  document.querySelector(`#past button[value="${CSS.escape(shown.name)}"]`)?.focus(); // its row may be a new one by now
   shown = null;
 };
 at("play").onclick = () => {
   if (timer) { stop(); return; }
   if (at("scrub").value === at("scrub").max) at("scrub").value = 0;
   at("play").textContent = "Pause";
+  at("then").ariaLive = "off"; // ten moments a second are no news
   timer = setInterval(() => {
     if (at("scrub").value === at("scrub").max) { stop(); return; }
     at("scrub").value = Number(at("scrub").value) + 1;
@@ -101,4 +104,5 @@ at("again").onclick = async () => {
   const { ok, told } = await ask(`${mine.base}/decide`, { method: "POST" });
   if (shown !== mine) return;
   at("answer").textContent = ok ? told.lines.join("\n") : told.error;
+  at("answer").scrollIntoView({ block: "nearest" });
 };

@@ -211,6 +211,7 @@ class Status:
         """The most important fact now: an unacknowledged stop, else the present activity."""
         bad = [finger for finger in FINGERS if health["cameras"][finger]["state"] != "live"]
         stop = next((alarm for alarm in self._alarms.open if alarm.level == "stop"), None)
+        unseen = f"No picture from the {' and the '.join(bad)} camera" if bad else ""
         if self._running is not None:
             running = self._running
             counted = f"Attempt {running.attempt} of {wire.MAX_ATTEMPTS}: " if running.attempt else ""
@@ -219,12 +220,12 @@ class Status:
             words = PHASES.get(running.phase, running.phase)
             text = words[0].lower() + words[1:] if counted else words
             level = "warning" if running.phase in {"no_decision", "refused"} or bad else "busy"
-            return {"level": level, "words": counted + text, "detail": running.problem}
+            detail = ". ".join(part for part in (unseen, running.problem) if part)
+            return {"level": level, "words": counted + text, "detail": detail}
         if stop is not None:
             return {"level": "stop", "words": stop.title, "detail": f"{stop.remedy} {stop.detail}".strip()}
         if bad:
-            words = f"No picture from the {' and the '.join(bad)} camera"
-            return {"level": "warning", "words": words, "detail": CAMERA_REMEDY}
+            return {"level": "warning", "words": unseen, "detail": CAMERA_REMEDY}
         if self._put_back is not None and self._last is not None:
             return {"level": "busy", "words": self._last.words, "detail": CAUSES["afresh"].remedy}
         if self._last is not None and self._last.at_s is not None and self._last.cause is None:

@@ -30,9 +30,9 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (apt-get install chromium)"),
 ]
-WAIT_MS = 60_000
 PANELS = {"panel": (1280, 800), "monitor": (1920, 1080), "tablet": (820, 1180), "phone": (390, 844)}
-MOST_BYTES = 300_000
+PANELS |= {"small panel": (1024, 600), "zoomed": (960, 540)}
+WAIT_MS, MOST_BYTES = 60_000, 300_000
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +158,7 @@ def test_nothing_is_cut_off_or_hard_to_use(live: LiveService, browser: Any, pane
     """No horizontal scrolling, on a panel no scrolling at all, and nothing that axe calls critical or serious."""
     width, height = PANELS[panel]
     page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
-    driver = insertion(live, f"fits-{panel}-{scheme}")
+    driver = insertion(live, f"fits-{panel}-{scheme}".replace(" ", "-"))
     try:
         driver.attempt(1)
         for view in ("live", "history"):
@@ -174,7 +174,7 @@ def test_nothing_is_cut_off_or_hard_to_use(live: LiveService, browser: Any, pane
 
 def check_fits(page: Any, panel: str, height: int) -> None:
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-    if panel in {"panel", "monitor"}:
+    if panel in {"panel", "small panel", "monitor"}:
         assert page.evaluate("document.documentElement.scrollHeight <= innerHeight")
         boxes = [section.bounding_box() for section in page.locator("main section:visible").all()]
         assert max(box["y"] + box["height"] for box in boxes) <= height
