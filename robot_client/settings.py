@@ -114,9 +114,10 @@ def load_settings(path: Path | None, overrides: dict[str, Any] | None = None) ->
     chosen = {key: _device(key, data.pop(key, {}), source) for key in REGISTRIES}
     known = [name for device in chosen.values() for name in device.variables]
     for name in os.environ:
-        ours = name.startswith(VARIABLES) or difflib.get_close_matches(name, known, 1, 0.8)
+        upper = name.upper()
+        ours = upper.startswith(VARIABLES) or difflib.get_close_matches(upper, known, 1, 0.8)
         if ours and name not in known:
-            raise SettingsError(f"environment: {name} is not used{nearest(name, known)}")
+            raise SettingsError(f"environment: {name} is not used{nearest(upper, known)}")
     names = {key: {"device": device.device} for key, device in chosen.items()}
     return _table(Settings, {**data, **names}, source).model_copy(update=chosen)
 

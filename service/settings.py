@@ -243,8 +243,9 @@ def _check_keys(path: str, table: Mapping[str, Any]) -> None:
             raise SettingsError(f"--config {path}: {key} is not used{nearest(key, Settings.model_fields)}")
     variables = [f"TACTILE_{name.upper()}" for name in Settings.model_fields]
     for name in sorted(os.environ):
-        if name.startswith("TACTILE_") and name not in variables and not name.startswith(OTHER_VARIABLES):
-            raise SettingsError(f"environment: {name} is not used{nearest(name, variables)}")
+        upper = name.upper()  # a variable in small letters would be a setting to some readers and none to others
+        if upper.startswith("TACTILE_") and name not in variables and not upper.startswith(OTHER_VARIABLES):
+            raise SettingsError(f"environment: {name} is not used{nearest(upper, variables)}")
 
 
 def _origin(name: str, arguments: Sequence[str], path: str, table: Mapping[str, Any]) -> str:

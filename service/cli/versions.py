@@ -69,11 +69,16 @@ def _own_token_file(options: argparse.Namespace) -> Path | None:
 
 
 def described(state: dict[str, Any]) -> list[str]:
-    """One line per version, and any problem."""
-    lines = [f"active    {state['active']['version']}  {state['active']['name']}"]
+    """One line per version and caution, and any problem."""
+    active = state["active"]
+    lines = [f"active    {active['version']}  {active['name']}", *_cautions(active)]
     for role in ("shadow", "previous"):
         if one := state[role]:
             evidence = f"evidence {one['evidence']:.2f} of {state['enough']:g}, after {one['ended_n']} insertions"
-            lines.append(f"{role:<9} {one['version']}  {one['name']}: {evidence}")
+            lines += [f"{role:<9} {one['version']}  {one['name']}: {evidence}", *_cautions(one)]
     lines += [f"rejected  {version}  {why}" for version, why in state["rejected"].items()]
     return [*lines, *([state["problem"]] if state["problem"] else [])]
+
+
+def _cautions(version: dict[str, Any]) -> list[str]:
+    return [f"          caution: {one}" for one in version.get("cautions", ())]

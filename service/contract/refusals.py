@@ -1,4 +1,4 @@
-"""Texts for refusing a file: the key, its allowed values, and the given value."""
+"""Texts for refusing a file, and for failing with one: the key, its allowed values, and the given value."""
 
 import difflib
 from collections.abc import Iterable
@@ -14,6 +14,13 @@ def nearest(name: str, allowed_names: Iterable[str]) -> str:
     names = sorted(allowed_names)
     near = difflib.get_close_matches(name, names, n=1)
     return f"; did you mean {near[0]!r}?" if near else f"; allowed: {', '.join(names)}" if names else ""
+
+
+def reason(error: Exception) -> str:
+    """Why something failed, in words: of the system's errors the text and the file, without the number."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror + (f": {error.filename}" if error.filename else "")
+    return str(error) or type(error).__name__
 
 
 def _table(model: type[BaseModel], path: Iterable[int | str]) -> type[BaseModel] | None:

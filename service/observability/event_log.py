@@ -39,8 +39,8 @@ def _on_event(kind: str, content: Any) -> None:
         level("abort", **facts(content))
     elif kind == "camera_fault":
         log.warning("camera", **content)
-    elif kind == "error":
-        log.error("error", detail=str(content))
+    elif kind in {"error", "unrecorded"}:
+        log.error(kind, detail=str(content))
     elif kind in {"version", "drift"}:
         log.warning(kind, **content)
     elif kind == "recorded":

@@ -50,6 +50,7 @@ from numpy.typing import NDArray
 
 from service.cameras.capture import CameraFrame
 from service.contract import TactileFrame, wire
+from service.contract.refusals import reason
 from service.perception.observation import Observation
 from service.recordings.messages import image_message, markers_message
 from service.recordings.names import name_after
@@ -235,7 +236,7 @@ class Recorder:
                     flushed = time.monotonic()
             except Exception as error:
                 self._stuck = self._stuck or isinstance(error, OSError)  # a value that cannot be stored ends nothing
-                self.error = self.error or str(error) or type(error).__name__
+                self.error = self.error or reason(error)
         self._finish()
 
     def _finish(self) -> None:
@@ -247,7 +248,7 @@ class Recorder:
             if not self._stuck:
                 (self.folder / PART).rename(self.path)
         except OSError as error:
-            self.error = self.error or str(error)
+            self.error = self.error or reason(error)
         finally:
             with contextlib.suppress(OSError):  # a last try to write the rest
                 self._stream.close()

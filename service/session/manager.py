@@ -18,6 +18,7 @@ import onnxruntime
 from service import __version__
 from service.cameras.capture import Camera, now_ns
 from service.contract import FINGERS, Finger, wire
+from service.contract.refusals import reason
 from service.contract.replies import beat, descended_n, unspoken
 from service.decision.models import ModelSet
 from service.decision.work import Work
@@ -84,20 +85,20 @@ class InsertionManager:
     def recording_problem(self) -> str:
         """What keeps insertions from being recorded now; "" if nothing does, whatever befell the last one."""
         recorder = self.active.recorder if self.active else None
-        return (recorder.error if recorder else "") or problem_of(self.settings.recordings)
+        return (_lacks(recorder, recorder.error) if recorder else "") or problem_of(self.settings.recordings)
 
     @property
     def unrecorded(self) -> str:
         """What the recording under way, else the last one, lacks, or what keeps the next from being made; or ""."""
         recorder = self.active.recorder if self.active else None
-        return (recorder.problem if recorder else "") or self._unrecorded or self.recording_problem
+        return (_lacks(recorder, recorder.problem) if recorder else "") or self._unrecorded or self.recording_problem
 
     def _note_recorded(self, problem: str) -> None:
         """Note that an insertion was recorded whole, or the problem."""
         self._unrecorded = problem
         if problem:
             self.unrecorded_n += 1
-            self.hub.publish("error", problem)
+            self.hub.publish("unrecorded", problem)
 
     def camera_entries(self) -> tuple[wire.CameraEntry, ...]:
         return tuple(
@@ -127,7 +128,7 @@ class InsertionManager:
             try:
                 active = self._open(hello)
             except Exception as error:  # else the client would wait for a hello that never comes
-                detail = f"no insertion can be opened: {str(error) or type(error).__name__}"
+                detail = f"no insertion can be opened: {reason(error)}"
                 self.hub.publish("error", detail)
                 send(wire.Fault(insertion_id=hello.insertion_id, code="not_ready", detail=detail, fatal=True))
                 return
@@ -220,7 +221,7 @@ class InsertionManager:
             largest = make_room(root, int(self.settings.recordings_max_gb * 1e9))
             return Recorder(root, insertion_id, facts, largest, self._attachments(session))
         except OSError as error:
-            self._note_recorded(f"cannot record into {root}: {error}")
+            self._note_recorded(f"cannot record into {root}: {reason(error)}")
             return None
 
     def _attachments(self, session: InsertionSession) -> dict[str, bytes]:
@@ -257,7 +258,7 @@ class InsertionManager:
         if recorder := insertion.recorder:
             recorder.close(how)
             self.frames_unrecorded_n += recorder.left_out_n
-            self._note_recorded(f"recording {recorder.path}: {recorder.problem}" if recorder.problem else "")
+            self._note_recorded(_lacks(recorder, recorder.problem))
         insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
         if insertion.send:
             insertion.send(finished)
@@ -275,7 +276,7 @@ class InsertionManager:
             tried_n = insertion.tried_n
             self.versions.learn(insertion.beside, finished, fresh=insertion.continues is None, tried_n=tried_n)
         except Exception as error:  # the insertion itself has ended well
-            self.hub.publish("error", f"versions: {str(error) or type(error).__name__}")
+            self.hub.publish("error", f"versions: {reason(error)}")
 
     def _chart(self, summary: dict[str, Any], models: ModelSet) -> None:
         """Update the drift charts, which may raise an alarm; another gel or other networks restart them."""
@@ -284,7 +285,12 @@ class InsertionManager:
             ended = Summary.model_validate(summary)
             alarms = self.charts.add(values, ended.object or "", within) if (values := ended.charted) else []
         except (OSError, ValueError) as error:
-            self.hub.publish("error", f"charts: {error}")
+            self.hub.publish("error", f"charts: {reason(error)}")
             return
         for chart, cause in alarms:
             self.hub.publish("drift", {"chart": chart, "cause": cause.what, "remedy": cause.remedy})
+
+
+def _lacks(recorder: Recorder, problem: str) -> str:
+    """The problem of a recording together with its name; empty without one."""
+    return f"recording {recorder.path}: {problem}" if problem else ""

@@ -21,10 +21,11 @@ log = structlog.get_logger()
 
 
 class Version(Contract):
-    """One version: its name by its files, and that on its card."""
+    """One version: its name by its files, that on its card, and what a person should know of it."""
 
     version: str
     name: str
+    cautions: tuple[str, ...]
 
 
 class Rival(Version):
@@ -63,9 +64,14 @@ class _Now(NamedTuple):
         """The version in a role beside the active one."""
         if (version := self.wiring.beside.get(role)) is None:
             return None
-        contest, name = self.wiring.contest(role), self.networks[version].card.name
-        counted = {"scored_n": contest.scored_n, "ended_n": contest.ended_n}
-        return Rival(version=version, name=name, evidence=contest.worth(role), **counted)
+        contest = self.wiring.contest(role)
+        known = self.named(version) | {"scored_n": contest.scored_n, "ended_n": contest.ended_n}
+        return Rival(**known, evidence=contest.worth(role))
+
+    def named(self, version: str) -> dict[str, Any]:
+        """The fields of `Version`."""
+        models = self.networks[version]
+        return {"version": version, "name": models.card.name, "cautions": models.cautions}
 
 
 class Versions:
@@ -100,6 +106,8 @@ class Versions:
                 networks[version] = networks.get(version) or self._store.load(version)
             except (ContractError, OSError) as error:
                 wiring, self.problem = wiring.without(role), f"the {role} version is left out: {error}"
+        for version in networks.keys() - self._now.networks:
+            _warn(version, networks[version])
         self._now = _Now(wiring, networks)
 
     def close(self) -> None:
@@ -127,7 +135,7 @@ class Versions:
     def state(self) -> State:
         """The active version and those beside it with their evidence."""
         now = self._now
-        active = Version(version=now.wiring.active, name=now.active.card.name)
+        active = Version(**now.named(now.wiring.active))
         shadow, previous = now.rival("shadow"), now.rival("previous")
         rejected, problem = now.wiring.rejected, self.problem
         return State(active=active, shadow=shadow, previous=previous, rejected=rejected, problem=problem)

@@ -193,7 +193,15 @@ def test_an_unknown_device_or_key_is_refused_with_file_key_and_nearest(tmp_path,
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", ["TACTILE_INSERTION_RWS_PASWORD", "TACTILE_RWS_PASSWORD", "TACTILE_INSERTION_X"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "TACTILE_INSERTION_RWS_PASWORD",
+        "TACTILE_RWS_PASSWORD",
+        "TACTILE_INSERTION_X",
+        "tactile_insertion_rws_password",
+    ],
+)
 def test_a_variable_that_no_device_reads_is_refused_with_the_nearest(monkeypatch, name):
     monkeypatch.setenv(name, "secret")
     with pytest.raises(

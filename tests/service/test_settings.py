@@ -149,6 +149,8 @@ def test_an_unknown_name_is_refused_where_it_was_given_with_the_nearest_allowed_
             {"TACTILE_CALIBRATON": "c.toml"},
             "environment: TACTILE_CALIBRATON is not used; did you mean 'TACTILE_CALIB",
         ),
+        ([], {"tactile_port": "1"}, "environment: tactile_port is not used; did you mean 'TACTILE_PORT'?"),
+        ([], {"tactile_prot": "1"}, "environment: tactile_prot is not used; did you mean 'TACTILE_PORT'?"),
         (
             ["--controller", "beleif"],
             {},

@@ -20,6 +20,7 @@ from service.web.page.sentences import CHARTS, PHASES, changed, ended, event, ve
 EVENTS_N = 30
 AFRESH_S = 90.0  # the trip to the fixture and back takes some 12 s in the simulated cell
 SHOWN_ALARMS_N = 20
+RECORDING_REMEDY = "The cell goes on. Make room on that disk, or see that it can be written."
 CAMERA_REMEDY = "Check cable and power of that finger. It comes back by itself."
 
 
@@ -49,6 +50,7 @@ class Status:
             "command": self._on_command,
             "camera_fault": self._on_camera_fault,
             "error": self._on_error,
+            "unrecorded": self._on_unrecorded,
             "drift": self._on_drift,
             "version": self._on_version,
         }
@@ -71,8 +73,8 @@ class Status:
         if any(alarm.key == key for alarm in self._alarms.all):
             self._put_back = None
         elif last and last.outcome == "interrupted":
-            detail, remedy = "The service ended during it.", "Look where the object is; start a new insertion."
-            named = last.insertion_id
+            detail = "The service ended during it, or the disk was full."
+            remedy, named = "Look where the object is; start a new insertion.", last.insertion_id
             self._alarms.sound(key, "stop", "An insertion broke off", detail=detail, remedy=remedy, insertion_id=named)
 
     # ---- events -----------------------------------------------------------------------------------------------------
@@ -149,6 +151,13 @@ class Status:
     def _on_error(self, detail: str) -> None:
         self._alarms.sound("service", "warning", "Fault of the service", detail=str(detail), remedy="Read its log.")
 
+    def _on_unrecorded(self, problem: str) -> None:
+        """Raise an alarm when insertions begin not to be recorded, and none as long as that goes on."""
+        if problem and not self._unrecorded:
+            title = "Insertions are not recorded"
+            self._alarms.sound("recording", "warning", title, detail=problem, remedy=RECORDING_REMEDY)
+        self._unrecorded = bool(problem)
+
     def _on_drift(self, drift: dict[str, str]) -> None:
         title = f"The cell drifts: likely {drift['cause']}"
         detail = f"It shows in {CHARTS[drift['chart']]}."
@@ -175,9 +184,7 @@ class Status:
         health = self._health()
         with self._lock:
             self._note_overdue()
-            if health["recording"] and not self._unrecorded:
-                self._alarms.sound("recording", "warning", "Insertions are not recorded", detail=health["recording"])
-            self._unrecorded = bool(health["recording"])
+            self._on_unrecorded(health["recording"])
             listed = self._alarms.shown(SHOWN_ALARMS_N)
             alarms = [asdict(alarm) | {"active": self._is_active(alarm.key)} for alarm in listed]
             running, last = self._running, self._last

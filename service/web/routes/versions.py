@@ -8,6 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from service.contract import ContractError
+from service.contract.refusals import reason
 from service.session.station import Station
 from service.versions.versions import State
 from service.web.access import Access
@@ -25,7 +26,7 @@ def router(station: Station, access: Access) -> APIRouter:
         try:
             await asyncio.to_thread(change)
         except OSError as error:
-            raise ContractError(f"versions: {error}") from None
+            raise ContractError(f"versions in {station.settings.state}: {reason(error)}") from None
         return versions.state()
 
     @routes.get("", dependencies=watch)

@@ -127,7 +127,7 @@ def test_an_insertion_that_cannot_be_recorded_is_made_all_the_same_counted_and_n
     assert cell.manager.active.session.recording is None
     assert cell.manager.unrecorded.startswith(f"cannot record into {tmp_path / 'r'}: ")
     assert cell.manager.recording_problem == f"the folder {tmp_path / 'r'} is missing"
-    assert (cell.manager.unrecorded_n, cell.kinds) == (1, ["error", "client", "message"])
+    assert (cell.manager.unrecorded_n, cell.kinds) == (1, ["unrecorded", "client", "message"])
     cell.manager.abort("operator", "done")
     wait_for_recorders()
     (tmp_path / "r").unlink()
@@ -146,12 +146,12 @@ def test_a_recording_that_broke_is_named_while_and_after_it_is_written(cell: Cel
     recorder = cell.manager.active.recorder  # type: ignore[union-attr]
     assert cell.manager.recording_problem == ""
     recorder.error = "no space left"  # type: ignore[union-attr]
-    assert cell.manager.recording_problem == "no space left"
+    assert cell.manager.recording_problem == f"recording {recorder.path}: no space left"
     cell.manager.abort("operator", "done")
     wait_for_recorders()
     assert cell.manager.recording_problem == "", "nothing is in the way of the next one"
     assert cell.manager.unrecorded.endswith(": no space left")
-    assert [content for kind, content in cell.events if kind == "error"] == [cell.manager.unrecorded]
+    assert [content for kind, content in cell.events if kind == "unrecorded"] == [cell.manager.unrecorded]
 
 
 def test_frames_that_were_left_out_are_counted_and_named(cell: Cell) -> None:

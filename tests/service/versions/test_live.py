@@ -179,6 +179,19 @@ def test_a_person_changes_versions_between_insertions_and_never_in_one(
         assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
+def test_networks_that_only_guess_are_named_to_whoever_puts_them_in_shadow_or_lets_them_decide(
+    cell: LiveService, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there = ["--url", cell.url(""), "--token-file", str(cell.station.settings.state / "token")]
+    guessing = write_shadow(tmp_path / "guessing", training_run={"untrained": "12 % are right"})
+    caution = "caution: tiny-direction is untrained: 12 % are right"
+    for words in (["shadow", str(guessing)], ["promote"], ["show"]):
+        assert main(["versions", *words, *there]) == 0
+        assert caution in capsys.readouterr().out
+    assert main(["versions", "rollback", *there]) == 0
+    assert caution not in capsys.readouterr().out
+
+
 def test_a_token_for_watching_shows_the_versions_where_watching_needs_one(
     tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -213,6 +226,18 @@ def test_networks_that_cannot_be_compared_are_refused_in_one_line(cell: LiveServ
         assert refused.status_code == 400
         assert why in refused.json()["error"]
         assert "\n" not in refused.json()["error"]
+
+
+def test_versions_that_cannot_be_kept_change_nothing_and_the_refusal_names_the_folder_and_the_reason(
+    tmp_path: Path, models_folder: Path
+) -> None:
+    with live_service(tmp_path, models_folder) as cell:
+        (tmp_path / "state" / "versions").write_text("a file where the folder belongs")
+        refused = ask(cell, "POST", "/shadow", folder=str(write_shadow(tmp_path / "shadow")))
+        assert refused.status_code == 400
+        why = f"File exists: {tmp_path / 'state' / 'versions'}"
+        assert refused.json()["error"] == f"versions in {tmp_path / 'state'}: {why}"
+        assert ask(cell, "GET").json()["shadow"] is None
 
 
 def test_a_loaded_release_begins_anew(cell: LiveService, tmp_path: Path) -> None:

@@ -172,6 +172,9 @@ def test_the_log_has_a_line_for_networks_that_only_guess_whether_they_decide_or_
     with structlog.testing.capture_logs() as lines, contextlib.closing(sound):
         sound.give(guessing)
     assert {line["version"] for line in lines} == {version_of(load_models(guessing))}
+    with structlog.testing.capture_logs() as restarted:
+        Versions(tmp_path / "other", load_models(three[0]), quiet).close()
+    assert restarted == [line for line in lines if "caution" in line]
 
 
 def test_two_services_do_not_share_their_versions(tmp_path: Path, three: list[Path]) -> None:

@@ -1,5 +1,7 @@
 """Alarms: however many come while nobody looks, a person reaches and acknowledges each of them."""
 
+import json
+import os
 import shutil
 from pathlib import Path
 
@@ -59,6 +61,36 @@ def test_insertions_that_are_not_recorded_raise_an_alarm_each_time_that_begins_a
             assert [acknowledged(live), status(live)["open_alarms_n"]] == ["recording", 0]
         live.station.hub.publish("error", "another alarm")
         assert [acknowledged(live), status(live)["open_alarms_n"]] == ["service", 0]
+
+
+def test_an_insertion_that_was_not_recorded_while_nobody_looked_is_one_alarm_in_plain_words(
+    tmp_path: Path, models_folder: Path
+) -> None:
+    with live_service(tmp_path, models_folder) as live:
+        driver = Driver(live, "unseen")
+        driver.until("hello")
+        with Path("/dev/full").open("wb") as full:
+            os.dup2(full.fileno(), live.station.active.recorder._stream.fileno())
+        assert driver.insert(1).outcome == "inserted"
+        driver.close()
+        until(live, lambda _: live.station.manager.unrecorded_n == 1)
+        (alarm,) = status(live)["alarms"]
+        assert (alarm["key"], alarm["times_n"]) == ("recording", 1)
+        assert alarm["detail"].endswith("insertion.mcap: No space left on device")
+        assert "Make room on that disk" in alarm["remedy"]
+
+
+def test_a_recording_without_an_end_blames_the_full_disk_as_well_as_the_service(
+    tmp_path: Path, models_folder: Path
+) -> None:
+    folder = tmp_path / "recordings" / "20260101T000000000000_full"
+    folder.mkdir(parents=True)
+    ended = {"insertion_id": "full", "outcome": "interrupted", "cause": "service", "attempts": 1}
+    (folder / "summary.json").write_text(json.dumps(ended))
+    with live_service(tmp_path, models_folder) as live:
+        (alarm,) = status(live)["alarms"]
+        assert (alarm["key"], alarm["level"]) == ("insertion full", "stop")
+        assert alarm["detail"] == "The service ended during it, or the disk was full."
 
 
 def acknowledged(live: LiveService) -> str:
