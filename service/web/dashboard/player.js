@@ -82,7 +82,8 @@ at("scrub").oninput = () => { stop(); show(); };
 at("close").onclick = () => at("player").close();
 at("player").onclose = () => {
   stop();
-  for (const plot of shown?.plots ?? []) plot.destroy(); // else its cursor would go on following those of the next
+  if (!shown) return;
+  for (const plot of shown.plots) plot.destroy(); // else its cursor would go on following those of the next
   document.querySelector(`#past button[value="${CSS.escape(shown.name)}"]`)?.focus(); // its row may be a new one by now
   shown = null;
 };

@@ -23,6 +23,10 @@ def test_an_object_that_is_put_down_and_let_go_is_released():
     assert "lost" not in history
 
 
+def test_an_object_that_rests_without_any_load_is_still_borne():
+    assert phases_of([DOWN] * 12 + [UP] * 4 + [NONE] * 40)[-1] == "released"
+
+
 @pytest.mark.parametrize(
     "last",
     [
