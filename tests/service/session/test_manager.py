@@ -151,10 +151,11 @@ def test_an_insertion_goes_on_with_what_the_one_before_knew_where_it_names_it(
     shared.receive(arm, client.send)
     decider = shared.active.session.decider
     shared.jpegs["left", 3] = b"a picture"
-    shared.abort("afresh", "turned")
+    shared.abort("part_lost", "turned")
     wait_for_recorders()
     shared.connect(wire.ClientHello(insertion_id="two", client="test", continues=continues), Client(shared).send)
     session = shared.active.session
+    assert shared.active.tried_n == knows
     assert not shared.jpegs, "nothing is kept from insertion to insertion"
     assert (session.decider is not None) == knows
     if knows:
