@@ -15,7 +15,7 @@ BoolArray = NDArray[np.bool_]
 
 
 _CARRIED = 2  # steps; a grid further outside its lattice belongs to another camera
-_TOUCHED_N_PER_MM2 = 1e-4  # a simulated node under this pressure is in contact
+_TOUCHED_N_PER_MM2 = 1e-4  # a simulated node that is pressed harder is in contact
 _OTHER_PITCH = 0.15  # a grid whose pitch is this much off is another sensor's, not one with markers missing
 
 
