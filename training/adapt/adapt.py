@@ -26,7 +26,7 @@ from training.adapt.stages import (
     trainer_of,
 )
 from training.config import DataConfig
-from training.data.episodes import LATER, read_episodes
+from training.data.episodes import LATER, PROBE, read_episodes
 from training.data.labels import class_of
 from training.data.pressed import Pressed, load_pressed
 from training.fit.checkpoint import AS_TRAINED, OWN, Checkpoint
@@ -37,6 +37,8 @@ FEWEST = 20
 DRAWS = 2000
 BY_CHANCE = 0.05
 """Largest probability, all stages together, that a gain is chance."""
+FAVOURED_FROM, FAVOURED_SHARE = 100, 0.8
+"""Probes from which `all` gets this share of that probability: the other stages seldom win there."""
 COVERAGE_SLACK = 0.02
 Figures = dict[str, float]
 Held = dict[StageName, tuple[Predictions, Densities]]
@@ -158,12 +160,23 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
     losses = {stage: _losses(one) for stage, one in fair.items()}
     by_loss = sorted(fair, key=lambda stage: float(losses[stage].mean()))
     likelier = by_loss[: by_loss.index("released")]
-    chance = BY_CHANCE / max(1, len(fair) - 1)  # one stage of several is chosen (Bonferroni)
-    against = {stage: tuple(_objections(fair["released"], fair[stage], groups, seed, chance)) for stage in likelier}
+    chances = _chances(tuple(stage for stage in fair if stage != "released"), int((samples.objects == PROBE).sum()))
+    against = {
+        stage: tuple(_objections(fair["released"], fair[stage], groups, seed, chances[stage])) for stage in likelier
+    }
     best = next((stage for stage in likelier if not against[stage]), by_loss[0])
     objections = against.get(best, ("no stage is likelier than the release",))
     described = {stage: {**figures(one), "likelihood": float(losses[stage].mean())} for stage, one in fair.items()}
     return Comparison(described, best, objections, len(groups), fixtures_n)
+
+
+def _chances(stages: tuple[StageName, ...], probes_n: int) -> dict[StageName, float]:
+    """Each stage's part of `BY_CHANCE`, because one stage of several is chosen (weighted Bonferroni)."""
+    others = len(stages) - ("all" in stages)
+    if not others or "all" not in stages or probes_n < FAVOURED_FROM:
+        return dict.fromkeys(stages, BY_CHANCE / max(1, len(stages)))
+    left = (1.0 - FAVOURED_SHARE) / others
+    return {stage: BY_CHANCE * (FAVOURED_SHARE if stage == "all" else left) for stage in stages}
 
 
 def _fair(stage: StageName, scales: Scales, predictions: Predictions | Densities, folds: list[Rows]) -> Predictions:

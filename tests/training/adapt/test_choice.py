@@ -13,16 +13,26 @@ from training.fit.checkpoint import Checkpoint
 from training.metrics.figures import Predictions
 
 PROBES_N = 60
-TRUTH = np.random.default_rng(0).uniform(-12, 12, (PROBES_N, 2))
 BETTER = np.random.default_rng(2).permutation(PROBES_N) < PROBES_N // 2
+OTHERS = ("calibration", "gain", "around")
 
 
-def predicted(scales, spread):
+def predicted(scales, spread, known_of="probe"):
     """Predictions of the right direction, off by ``spread`` [N] times what they state, calibrated by ``scales``."""
-    off = 2.0 * spread[:, None] * np.random.default_rng(1).normal(size=TRUTH.shape)
-    logits = 4.0 * scales.temperature * np.eye(9)[class_of(TRUTH.astype(np.float32))]
+    truth = np.random.default_rng(0).uniform(-12, 12, (len(spread), 2))
+    off = 2.0 * spread[:, None] * np.random.default_rng(1).normal(size=truth.shape)
+    logits = 4.0 * scales.temperature * np.eye(9)[class_of(truth.astype(np.float32))]
     sigma = 2.0 / np.array([scales.sigma_x, scales.sigma_theta])
-    return Predictions(logits, TRUTH + off, np.log(sigma) + np.zeros_like(TRUTH), TRUTH, np.full(PROBES_N, "probe"))
+    return Predictions(logits, truth + off, np.log(sigma) + np.zeros_like(truth), truth, np.full(len(spread), known_of))
+
+
+def choice(root, spreads, *, work=False):
+    """The comparison of stages whose predictions are off by their ``spreads`` [N] times what they state."""
+    count = len(spreads["released"])
+    samples = read_episodes(recorded(root, count, work=work), Sensor.load())
+    release = Checkpoint.load(released_models() / "checkpoint.pt")
+    made = {stage: predicted(release.scales, one, "work" if work else "probe") for stage, one in spreads.items()}
+    return compare(release, samples, {stage: (one, one) for stage, one in made.items()}, 0)
 
 
 @pytest.mark.parametrize(
@@ -35,10 +45,28 @@ def predicted(scales, spread):
     ids=["a gain in half of all probes, one stage", "the same, the best of four", "a gain in all probes"],
 )
 def test_the_best_of_four_needs_a_surer_gain_than_a_single_stage(tmp_path, spread, others, accepted):
-    samples = read_episodes(recorded(tmp_path, PROBES_N), Sensor.load())
-    release = Checkpoint.load(released_models() / "checkpoint.pt")
-    stages = {"released": np.ones(PROBES_N), "gain": spread, **dict.fromkeys(others, np.full(PROBES_N, 1.5))}
-    held = {stage: (one, one) for stage in stages for one in [predicted(release.scales, stages[stage])]}
-    comparison = compare(release, samples, held, 0)
+    worse = dict.fromkeys(others, np.full(PROBES_N, 1.5))
+    comparison = choice(tmp_path, {"released": np.ones(PROBES_N), "gain": spread, **worse})
     assert comparison.best == "gain"
+    assert comparison.accepted == accepted
+
+
+@pytest.mark.parametrize(
+    ("count", "better", "spread", "work", "accepted"),
+    [
+        (100, "all", (0.5, 1.25), False, True),
+        (99, "all", (0.5, 1.25), False, False),
+        (100, "gain", (0.5, 1.25), False, False),
+        (100, "all", (0.6, 1.15), True, False),
+    ],
+    ids=["all weights, many probes", "one probe fewer", "another stage", "all weights, as many insertions"],
+)
+def test_many_probes_let_all_weights_pass_with_a_gain_too_small_for_any_other_stage(
+    tmp_path, count, better, spread, work, accepted
+):
+    half = np.random.default_rng(1).permutation(count) < count // 2
+    others = dict.fromkeys(("all", *OTHERS), np.full(count, 1.5))
+    gain = np.where(half, *spread)
+    comparison = choice(tmp_path, {"released": np.ones(count), **others, better: gain}, work=work)
+    assert comparison.best == better
     assert comparison.accepted == accepted
