@@ -30,8 +30,9 @@ export async function chart(place, { title, unit, x, lines, key, height, range, 
   heading.className = "chart-title";
   heading.textContent = title;
   place.append(heading);
+  const size = () => ({ width: Math.max(200, place.clientWidth), height });
   const options = {
-    width: Math.max(200, place.clientWidth), height, legend: { show: lines.length > 1, live: false },
+    ...size(), legend: { show: lines.length > 1, live: false },
     cursor: { sync: { key }, drag: { x: false, y: false }, points: { show: false } },
     scales: { x: { time: false, ...scales }, y: range ? { range } : {} },
     axes: [{ stroke: quiet, grid, font, size: 1.7 * rem, ...(gap ? {} : { incrs: [1, 2, 5, 10, 20, 50, 100] }), values: (_, ticks) => ticks.map((tick) => (tick === null ? "" : `${tick}${axis}`)) }, { stroke: quiet, grid, font, size: (gap ? 4.3 : 3.4) * rem, values: (_, ticks) => ticks.map((tick) => `${tick}${unit}`) }],
@@ -39,6 +40,7 @@ export async function chart(place, { title, unit, x, lines, key, height, range, 
     hooks: onCursor ? { setCursor: [(plot) => { if (plot.cursor.left >= 0 && plot.cursor.event) onCursor(plot.posToVal(plot.cursor.left, "x")); }] } : {},
   };
   const made = new uPlot(options, [x, ...lines.map((line) => line.values)], place);
+  new ResizeObserver(() => made.setSize(size())).observe(place);
   made.root.setAttribute("role", "img");
   made.root.setAttribute("aria-label", title);
   return made;

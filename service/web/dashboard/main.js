@@ -109,6 +109,8 @@ function view() {
 function showLost([words, detail]) {
   showHeadline({ level: "stop", words, detail });
   showAcknowledge(false);
+  for (const button of at("alarms").querySelectorAll("button")) button.disabled = true;
+  listed = ""; // with a link the list is shown anew
   at("health").replaceChildren(element("li", { className: "bad", textContent: "not connected" }));
 }
 

@@ -76,6 +76,23 @@ def test_the_curve_of_one_finger_does_not_hide_the_others(live: LiveService, pag
     assert page.problems == []
 
 
+def test_curves_follow_a_window_that_is_resized_while_they_are_open(live: LiveService, page: Any) -> None:
+    driver = insertion(live, "resized")
+    driver.attempt(1)
+    give_up(driver)
+    page.set_viewport_size({"width": 1600, "height": 900})
+    page.goto(live.url("/#history"))
+    page.get_by_label("play back resized", exact=True).click()
+    wait_until(page, PLAYED)
+    for width_px in (900, 1400):
+        page.set_viewport_size({"width": width_px, "height": 900})
+        wait_until(
+            page,
+            "[...document.querySelectorAll('#curves .u-wrap')]"
+            ".every(plot => Math.abs(plot.offsetWidth - document.getElementById('curves').clientWidth) < 2)",
+        )
+
+
 def test_an_amber_sentence_says_which_picture_is_missing(live: LiveService, page: Any) -> None:
     driver = insertion(live, "blind")
     driver.attempt(1)
@@ -102,8 +119,10 @@ def test_without_a_link_nothing_looks_alive_and_nothing_is_offered(live: LiveSer
         assert page.locator("#health").text_content() == "not connected"
         assert page.locator("#health .good").count() == 0
         assert not page.locator("#acknowledge").is_visible()
+        assert page.locator("#alarms button:enabled").count() == 0
         relay.misbehave("fair")
         page.get_by_role("button", name="Acknowledge", exact=True).wait_for()
+        assert page.locator("#alarms button:enabled").count() > 0
 
 
 def test_a_screen_reader_says_the_remedy_once(live: LiveService, page: Any) -> None:
