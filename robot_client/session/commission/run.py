@@ -30,7 +30,9 @@ REACH = (15.0, 15.0)
 FITS = (2.5, 3.0)
 """Approximate errors that insert: no probe begins there."""
 GRASPS_N = 3
-"""Most grasps for a probe: in some the object hangs too far askew to be pressed."""
+"""Most grasps for a probe: in some the object hangs too far askew to be pressed, or the pictures come too late."""
+STALE = "stale: "
+"""Begins what a probe has said of which pictures came too late: it tells nothing of the cell's wiring or gels."""
 
 
 class Ended(NamedTuple):
@@ -142,16 +144,19 @@ class Commissioning:
         return done
 
     async def _in_new_grasp(self, probe: Callable[[], Awaitable[Ended]]) -> Ended:
-        """Regrasp and probe; once more where the object then hangs too far askew in the hand.
+        """Regrasp and probe; once more where the object hangs too far askew in the hand, or the answer is stale.
 
         Each probe has its own grasp: the object drifts in the hand, and open gels are learnt before a grasp.
         """
         for _ in range(GRASPS_N):
             await self.fetch()
             ended = await probe()
-            if not ended.reason.startswith(REFUSED):
+            if ended.reason.startswith(REFUSED):
+                self.show(f"not pressed in this grasp: {ended.reason}")
+            elif ended.probe.said.startswith(STALE):
+                self.show(f"nothing is learnt in this grasp: {ended.probe.said}")
+            else:
                 break
-            self.show(f"not pressed in this grasp: {ended.reason}")
         return ended
 
     def _checked(self, title: str, ended: Ended) -> Ended:

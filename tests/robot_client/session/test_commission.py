@@ -124,6 +124,30 @@ def test_a_probe_whose_object_hangs_askew_is_repeated_in_a_new_grasp(tmp_path):
         asyncio.run(commissioning(Askew(), tmp_path / "another.json").run(6))
 
 
+def test_a_probe_whose_pictures_came_too_late_is_repeated_in_a_new_grasp(tmp_path):
+    class Late(Cell):
+        """A camera loses frames: the arm pauses in some presses, which then tell nothing of the wiring."""
+
+        async def probe(self, x_mm, theta_deg):
+            ended = await super().probe(x_mm, theta_deg)
+            if len(self.probed) not in late:
+                return ended
+            pose = WorkPose(x_mm=x_mm, y_mm=0.0, z_mm=35.0, yaw_deg=theta_deg)
+            return ended._replace(probe=probe_of("late", pose, no_decision(1, "stale")))
+
+    late, cell, shown = {2, 5, 6}, Late(), []
+    running = commissioning(cell, tmp_path / "record.json")
+    running.show = shown.append
+    record = asyncio.run(running.run(4))
+    assert (len(record.signs), len(cell.probed), cell.fetched_n, record.named) == (4, 7, 7, ())
+    assert sum("nothing is learnt in this grasp: stale" in line for line in shown) == 3
+    late = set(range(1, 100))
+    record = asyncio.run(commissioning(Late(), tmp_path / "another.json").run(4))
+    assert len(record.signs) == 4
+    assert record.named
+    assert all(why.startswith("stale") for why in record.named)
+
+
 def test_presses_come_after_the_signs_once_and_older_records_keep_their_digest(tmp_path):
     cell, path, pressed = Cell(), tmp_path / "record.json", []
 
