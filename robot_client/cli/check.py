@@ -13,6 +13,7 @@ from robot_client.session.commission.record import commissioned
 from robot_client.session.service_link import ServiceLink
 from robot_client.settings import Settings
 from service.contract import wire
+from service.contract.refusals import reason
 
 NO_TOKEN = "the service names its file at its start; give it as service.token_file"  # noqa: S105 - no token
 
@@ -49,8 +50,10 @@ async def findings_of(settings: Settings) -> AsyncIterator[tuple[str, Finding]]:
         for name, read in checks.items():
             try:
                 findings = await read()
-            except (ValueError, TimeoutError) as error:
+            except TimeoutError as error:
                 findings = [Finding(False, str(error) or "no answer in time")]
+            except (ValueError, OSError) as error:
+                findings = [Finding(False, reason(error))]
             for finding in findings:
                 yield name, finding
     finally:
