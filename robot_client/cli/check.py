@@ -50,10 +50,10 @@ async def findings_of(settings: Settings) -> AsyncIterator[tuple[str, Finding]]:
         for name, read in checks.items():
             try:
                 findings = await read()
-            except TimeoutError as error:
+            except (ValueError, TimeoutError) as error:
                 findings = [Finding(False, str(error) or "no answer in time")]
-            except (ValueError, OSError) as error:
-                findings = [Finding(False, reason(error))]
+            except OSError as error:  # of a driver that does not say what it could not reach
+                findings = [Finding(False, f"{name}: {reason(error)}")]
             for finding in findings:
                 yield name, finding
     finally:

@@ -181,7 +181,7 @@ def test_a_gripper_that_is_not_there_is_named_in_every_command(config, capsys):
         ).replace("async def check(self):\n", "async def check(self):\n        await self.connect()\n")
     )
     assert main(["check", "--config", str(config)]) == 1
-    assert "BAD  claw      Connection refused" in capsys.readouterr().out
+    assert "BAD  claw      claw: Connection refused" in capsys.readouterr().out
     assert main(["home", "--live", "--config", str(config)]) == 1
     assert capsys.readouterr().err == "FAILED SAFE: Connection refused\n"
 
