@@ -30,13 +30,19 @@ GRIPPERS = {
 
 
 def settings_of(registry: dict[str, str], name: object) -> type[DeviceSettings]:
-    """The settings of a registered device; raises ValueError for an unknown name."""
+    """The settings of a registered device; raises ValueError for an unknown name, and a module that is no device."""
     if not isinstance(name, str) or (name not in registry and "." not in name):
-        raise ValueError(f"device: {name!r} is unknown{nearest(str(name), registry)}")
+        own = " (a module of your own is named with a dot)"
+        raise ValueError(f"device: {name!r} is unknown{nearest(str(name), registry)}{own}")
     try:
-        settings: type[DeviceSettings] = _module(registry, name).Settings
-    except (ImportError, AttributeError) as error:
+        module = _module(registry, name)
+        settings: type[DeviceSettings] = module.Settings
+        _ = module.make
+    except (ImportError, AttributeError, SyntaxError) as error:
         raise ValueError(f"device: {name!r} is no module with Settings and make: {error}") from error
+    fits = isinstance(settings, type) and issubclass(settings, DeviceSettings)
+    if not fits:
+        raise ValueError(f"device: Settings of {name!r} is {settings!r}, expected a class of DeviceSettings")
     return settings
 
 

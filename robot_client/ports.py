@@ -47,7 +47,7 @@ class Finding(NamedTuple):
 
 
 Check = Callable[[], Awaitable[list[Finding]]]
-"""Reads a device and moves nothing; raises ValueError or TimeoutError if it cannot be read."""
+"""Reads a device and moves nothing; raises ValueError or OSError (as TimeoutError) if it cannot be read."""
 
 
 class Signals(Protocol):

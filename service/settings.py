@@ -220,7 +220,7 @@ def read_settings(arguments: Sequence[str]) -> Settings:
         choices = get_args(Settings.model_fields[name].annotation) if first["type"] == "literal_error" else ()
         hint = nearest(str(first["input"]), choices) if choices else ""
         where = f"{_origin(name, rest, path, table)}: " if name else ""
-        raise SettingsError(f"{where}{first['msg']}{hint} ({HELP})") from error
+        raise SettingsError(f"{where}{first['msg'].removeprefix('Value error, ')}{hint} ({HELP})") from error
 
 
 def _take_config(arguments: Sequence[str]) -> tuple[list[str], str, dict[str, Any]]:

@@ -13,6 +13,7 @@ from robot_client.session.commission.record import commissioned
 from robot_client.session.service_link import ServiceLink
 from robot_client.settings import Settings
 from service.contract import wire
+from service.contract.refusals import reason
 
 NO_TOKEN = "the service names its file at its start; give it as service.token_file"  # noqa: S105 - no token
 
@@ -51,6 +52,8 @@ async def findings_of(settings: Settings) -> AsyncIterator[tuple[str, Finding]]:
                 findings = await read()
             except (ValueError, TimeoutError) as error:
                 findings = [Finding(False, str(error) or "no answer in time")]
+            except OSError as error:  # of a driver that does not say what it could not reach
+                findings = [Finding(False, f"{name}: {reason(error)}")]
             for finding in findings:
                 yield name, finding
     finally:

@@ -25,6 +25,7 @@ from robot_client.ports import DriverError, HomingDirection
 from robot_client.session.replay import ReplayError, replay
 from robot_client.settings import Settings, load_settings
 from service.contract.frames import first_error
+from service.contract.refusals import reason
 from service.contract.text import printable
 from service.contract.wire import ControllerName
 
@@ -40,10 +41,10 @@ examples (m is python -m robot_client):
 
 
 def _number(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
-    return value
+    with contextlib.suppress(ValueError):
+        if math.isfinite(value := float(text)):
+            return value
+    raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
 
 
 def _address(text: str) -> dict[str, Any]:
@@ -200,11 +201,11 @@ def main(argv: list[str] | None = None) -> int:
         with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():
             outcome = _run(args)
         code = 0 if outcome.done else 1
-    except ValueError as error:
-        text = first_error(error) if isinstance(error, ValidationError) else str(error)
-        prefix = "FAILED SAFE" if isinstance(error, DriverError) else "error"
+    except (ValueError, OSError) as error:  # OSError: of a device's driver
+        text = first_error(error) if isinstance(error, ValidationError) else reason(error)
+        prefix = "FAILED SAFE" if isinstance(error, DriverError | OSError) else "error"
         print(printable(f"{prefix}: {text}"), file=sys.stderr)
-        code = 1 if isinstance(error, DriverError | ReplayError) else 2
+        code = 1 if isinstance(error, DriverError | OSError | ReplayError) else 2
         outcome = Outcome(False, {"error": text})
     except (KeyboardInterrupt, asyncio.CancelledError):
         print("interrupted, nothing moves", file=sys.stderr)

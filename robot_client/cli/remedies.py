@@ -14,7 +14,7 @@ REMEDIES: tuple[tuple[str, str], ...] = (
     ),
     (r"not commissioned to the end", "Run `tactile-insertion commission --live` with the same --out to its end."),
     (r"cannot read configuration", "Name an existing file with --config."),
-    (r"is not used|unknown key|is unknown|expected a number|extra", "Correct that key in the configuration."),
+    (r"is not used|unknown key|is unknown|expected a (whole )?number|extra", "Correct that key in the configuration."),
     (r"allowed .*\.\.|ramps\.|allowed up to|limits allow", "Correct the pose, the ramp or the limit of that name."),
     (r"Cannot assign requested address", "Leave robot.bind out, or set it to an address of this PC."),
     (r"cannot listen on UDP", "Another client runs, or set robot.port to the port of UCdevice."),
@@ -50,7 +50,7 @@ REMEDIES: tuple[tuple[str, str], ...] = (
     ),
     (r"forbidden", "The token is another service's: give service.token_file of this one."),
     (r"protocol", "Client and service are of different versions: update the older one."),
-    (r"service|ws://|connect|no answer", "Start the service (`tactile-insertion serve`), or correct service.url."),
+    (r"service|ws://|no answer", "Start the service (`tactile-insertion serve`), or correct service.url."),
 )
 
 

@@ -106,7 +106,13 @@ class Runner:
         return self.state
 
     def post(self, event: Event) -> None:
-        """Handle an event now, or right after the one being handled. Called by the drivers on the event loop."""
+        """Handle an event now, or right after the one being handled. Called by the drivers on the event loop.
+
+        One from the future bears another clock's time, after which no deadline would come: it fails.
+        """
+        if event.at_s > (now_s := time.monotonic()):
+            detail = f"{event.kind} at {event.at_s:.3f} s, expected at most {now_s:.3f} s, of time.monotonic()"
+            event = Failure(at_s=now_s, source="client", code="clock", detail=detail)
         self._events.append(event)
         if self._handling:
             return

@@ -93,9 +93,11 @@ def _sensor(name: str) -> Sensor:
 
 
 def _new_profile(options: argparse.Namespace, image: np.ndarray, name: str) -> Sensor:
-    """A new profile from this picture."""
+    """A new profile from this picture, in the frame that the released networks read if it has room there."""
+    if options.new_profile.suffix != ".toml":
+        raise CalibrationError(f"--new-profile {options.new_profile}: expected a file name that ends in .toml")
     grid = find_grid(image, name, None)
-    sensor = profile_of(image, grid, options.new_profile.stem, options.pitch_mm, options.fps)
+    sensor = profile_of(image, grid, options.new_profile.stem, options.pitch_mm, options.fps, Sensor.load())
     save_profile(sensor, options.new_profile)
     print(f"wrote {options.new_profile}; markers taken as {options.pitch_mm:g} mm apart, {options.fps} frames a second")
     return sensor

@@ -57,6 +57,9 @@ def describe(error: ValidationError, model: type[BaseModel], above: str = "", *,
         what = f"unknown key{nearest(str(last), table.model_fields if table else ())}"
     else:
         bounds = allowed(table, str(last))
-        what = f"expected a number {bounds}" if bounds else first["msg"].removeprefix("Value error, ")
+        number = "a whole number" if first["type"].startswith("int_") else "a number"
+        what = f"expected {number} {bounds}" if bounds else first["msg"].removeprefix("Value error, ")
+        if bounds and first["type"] == "missing":
+            what = f"missing, {what}"
     given = "" if secret or first["type"] in {"value_error", "missing"} else f" (given: {first['input']!r})"
     return f"{key + ': ' if key else ''}{what}{given}"

@@ -2,7 +2,8 @@
 
 A calibration file is TOML: ``schema_version = 1`` and one table per finger, ``[left]`` and ``[right]``, with ``raw_px =
 [width, height]``, ``rectified_px = [width, height]`` and ``homography`` (3 rows of 3): pixels of the raw frame to
-pixels of the rectified one, u right, v down, pixel centres at integers.
+pixels of the rectified one, u right, v down, pixel centres at integers. ``mm_per_px``, of the rectified frame, is
+missing in older files.
 
 Where the lens bends the rows, the homography starts from its ideal picture: ``lens_centre_px``, ``lens_scale_px``,
 ``lens_k`` (k1, k2). Where the gel does, ``warp_low_px``, ``warp_high_px`` and ``warp_px`` (2 rows of coefficients)
@@ -11,6 +12,7 @@ correct its result (:mod:`service.perception.lens`). Measurements are stored wit
 """
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -20,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
-from service.contract import FINGERS, ContractError, Finger, FrameSpec
+from service.contract import FINGERS, ContractError, Finger, FrameSpec, ModelCard
 from service.contract.frames import Contract
 from service.contract.refusals import describe, nearest
 from service.contract.toml import parse_toml
@@ -66,6 +68,7 @@ class CameraCalibration:
     lens: Lens | None = None
     warp: Warp | None = None
     measured: Measured | None = None
+    mm_per_px: float | None = None  # of the rectified frame, None if not known
 
     def __post_init__(self) -> None:
         matrix = np.asarray(self.homography, np.float64)
@@ -140,6 +143,17 @@ class Calibration:
             raise CalibrationError(f"{path} rectifies left and right to {sizes}; expected one size for both")
         return cls(left, right)
 
+    def unlike(self, card: ModelCard) -> str:
+        """How the rectified frames differ from those that a model reads, as a predicate; empty if they do not."""
+        size_px, expected_px = self.left.rectified.shape[1::-1], card.frame.shape[1::-1]
+        scales, expected = (self.left.mm_per_px, self.right.mm_per_px), card.profile.mm_per_px
+        remedy = f"calibrate with their sensor's profile ({card.profile}), or serve models for this sensor"
+        if size_px != expected_px:
+            return f"rectifies to {size_px} (width, height), the models expect {expected_px}: {remedy}"
+        if wrong := [one for one in scales if one is not None and not math.isclose(one, expected, rel_tol=1e-3)]:
+            return f"rectifies to {wrong[0]:g} mm per px, the models expect {expected:g}: {remedy}"
+        return ""
+
     def save(self, path: str | Path) -> None:
         """Write the file that :meth:`load` reads back exactly."""
         lines = [f"schema_version = {SCHEMA_VERSION}"]
@@ -154,6 +168,7 @@ class _CameraTable(Contract):
 
     raw_px: Size
     rectified_px: Size
+    mm_per_px: float | None = Field(default=None, gt=0)
     homography: list[list[float]]
     lens_centre_px: Pair | None = None
     lens_scale_px: float | None = None
@@ -194,6 +209,7 @@ def _written(finger: Finger, camera: CameraCalibration) -> list[str]:
         f"\n[{finger}]",
         f"raw_px = [{camera.raw.width_px}, {camera.raw.height_px}]",
         f"rectified_px = [{camera.rectified.width_px}, {camera.rectified.height_px}]",
+        *([] if camera.mm_per_px is None else [f"mm_per_px = {camera.mm_per_px!r}"]),
         f"homography = {_matrix(camera.homography)}",
     ]
     if lens is not None:
@@ -221,7 +237,8 @@ def _camera(table: dict[str, Any], finger: Finger, path: str | Path) -> CameraCa
         entry = _CameraTable.model_validate(table[finger])
         raw, rectified = _spec(entry.raw_px, rectified=False), _spec(entry.rectified_px, rectified=True)
         matrix = np.array(entry.homography, np.float64)
-        return CameraCalibration(matrix, raw, rectified, entry.lens(), entry.warp(), entry.measured())
+        parts = entry.lens(), entry.warp(), entry.measured(), entry.mm_per_px
+        return CameraCalibration(matrix, raw, rectified, *parts)
     except ValidationError as error:
         raise CalibrationError(f"{path} [{finger}]: {describe(error, _CameraTable)}") from error
     except ValueError as error:

@@ -282,11 +282,8 @@ def open_station(settings: Settings) -> Station:
     """Load and check everything a station needs; raise ContractError or OSError with one clear line."""
     models = load_models(settings.models)
     calibration = Calibration.load(settings.calibration) if settings.calibration else None
-    if calibration and calibration.left.rectified != models.card.frame:
-        raise ContractError(
-            f"{settings.calibration} rectifies to {calibration.left.rectified.shape[1::-1]} (width, height),"
-            f" the models expect {models.card.frame.shape[1::-1]}; calibrate for that size"
-        )
+    if calibration and (why := calibration.unlike(models.card)):
+        raise ContractError(f"{settings.calibration} {why}")
     owned = own(settings.recordings)
     recover(settings.recordings)
     station = Station(settings, models, calibration)

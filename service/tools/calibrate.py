@@ -105,7 +105,8 @@ def rectify(image: NDArray[np.uint8], grid: GridFit, sensor: Sensor, serial: str
         round(float(grid.present.mean()), 4),
         fingerprint_of(field),
     )
-    return Fit(replace(camera, measured=measured), grid, residual_px, first, sensor.marker_pitch_px)
+    camera = replace(camera, measured=measured, mm_per_px=sensor.mm_per_px)
+    return Fit(camera, grid, residual_px, first, sensor.marker_pitch_px)
 
 
 def of_sensor(grid: GridFit, sensor: Sensor) -> bool:

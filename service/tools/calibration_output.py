@@ -17,7 +17,9 @@ from service.tools.grid_fit import GridFit
 
 _MAGNIFIED = 20.0  # arrows of the residual map
 _GOOD, _FAR, _ABSENT = (120, 220, 60), (40, 120, 255), (80, 80, 255)  # BGR
-_PITCH_PX = (12.0, 33.0)  # of a new profile's rectified frame
+_PITCH_PX = (12.0, 33.0)  # of a new profile's own rectified frame
+_LEAST_PX = 8.0  # of any profile
+_SPARE = 0.25  # pitches by which a frame may reach beyond the picture
 
 
 def figures(fit: Fit, refused: str | None) -> dict[str, Any]:
@@ -58,24 +60,27 @@ def _pixel(place: NDArray[np.float64]) -> tuple[int, int]:
     return round(float(place[0])), round(float(place[1]))
 
 
-def profile_of(image: NDArray[np.uint8], grid: GridFit, name: str, pitch_mm: float, fps: int) -> Sensor:
-    """The profile of a new sensor.
+def profile_of(
+    image: NDArray[np.uint8], grid: GridFit, name: str, pitch_mm: float, fps: int, like: Sensor | None = None
+) -> Sensor:
+    """The profile of a new sensor, with the rectified frame of ``like`` where this gel and its picture fill it.
 
     ``pitch_mm``, the distance of neighbouring markers on the gel, and ``fps`` cannot be measured in a picture. Raises
     ContractError if no profile can describe such a grid.
     """
     rows, columns = grid.shape
-    pitch = round(float(np.clip(grid.pitch_px, *_PITCH_PX)))
-    size = [pitch * (count + 1) + 1 for count in (columns, rows)]
-    view = np.array([(0, 0), (size[0] - 1, 0), (size[0] - 1, size[1] - 1), (0, size[1] - 1)], np.float64)
-    corners = grid.projection.raw(view / pitch - 1)
+    own = round(float(np.clip(grid.pitch_px, *_PITCH_PX)))
+    pitch, size = float(own), (own * (columns + 1) + 1, own * (rows + 1) + 1)
+    if like is not None and _fills(image, grid, like, pitch_mm):
+        pitch, size = pitch_mm / like.mm_per_px, (like.width_px, like.height_px)
+    first, corners = _view(grid, pitch, size)
     table = {
         "name": name,
         "marker_rows": rows,
         "marker_columns": columns,
-        "marker_pitch_px": float(pitch),
+        "marker_pitch_px": round(pitch, 4),
         "marker_diameter_px": round(grid.diameter_px * pitch / grid.pitch_px, 1),
-        "first_marker_px": (float(pitch), float(pitch)),
+        "first_marker_px": (round(float(first[0]), 2), round(float(first[1]), 2)),
         "raw_width_px": image.shape[1],
         "raw_height_px": image.shape[0],
         "width_px": size[0],
@@ -91,6 +96,28 @@ def profile_of(image: NDArray[np.uint8], grid: GridFit, name: str, pitch_mm: flo
         return Sensor.model_validate(table)
     except ValidationError as error:
         raise ContractError(f"no profile describes {columns} x {rows} markers: {describe(error, Sensor)}") from error
+
+
+def _view(grid: GridFit, pitch_px: float, size: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Of a rectified frame with the grid in its middle: the first marker [2], and its corners in the raw one [4, 2]."""
+    rows, columns = grid.shape
+    last = np.array(size, np.float64) - 1
+    first = (last - pitch_px * np.array([columns - 1, rows - 1])) / 2
+    return first, grid.projection.raw((np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * last - first) / pitch_px)
+
+
+def _fills(image: NDArray[np.uint8], grid: GridFit, like: Sensor, pitch_mm: float) -> bool:
+    """Whether the grid has room in the frame of ``like`` and the picture shows that frame to its edges.
+
+    Beyond them it would be black, and the tracker would take that for markers.
+    """
+    pitch_px, size = pitch_mm / like.mm_per_px, (like.width_px, like.height_px)
+    if not pitch_px >= _LEAST_PX:
+        return False
+    first, corners = _view(grid, pitch_px, size)
+    spare = _SPARE * grid.pitch_px
+    shown = (corners >= -spare).all() and (corners <= np.array(image.shape[1::-1]) - 1 + spare).all()
+    return bool(shown and first.min() >= pitch_px / 2)
 
 
 def save_profile(sensor: Sensor, path: Path) -> None:

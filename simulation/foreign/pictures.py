@@ -56,7 +56,9 @@ class Camera:
 
     @property
     def calibration(self) -> CameraCalibration:
-        return CameraCalibration(self._homography, self.sensor.raw, self.sensor.rectified)
+        return CameraCalibration(
+            self._homography, self.sensor.raw, self.sensor.rectified, mm_per_px=self.sensor.mm_per_px
+        )
 
     def raw(self, gel: NDArray[np.floating], frame_seed: int, previous: NDArray[np.floating] | None = None) -> Image:
         """A frame of a gel [rows, columns, 4]; ``previous``: the state one frame earlier, for motion blur.

@@ -73,7 +73,9 @@ class Renderer:
 
     @property
     def calibration(self) -> CameraCalibration:
-        return CameraCalibration(self.homography, self.sensor.raw, self.sensor.rectified)
+        return CameraCalibration(
+            self.homography, self.sensor.raw, self.sensor.rectified, mm_per_px=self.sensor.mm_per_px
+        )
 
     @property
     def blur_share(self) -> float:

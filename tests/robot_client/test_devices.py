@@ -171,9 +171,42 @@ def test_the_commands_check_and_home_reach_a_new_device(config, capsys):
     assert "no fault to acknowledge" in err
 
 
+def test_a_gripper_that_is_not_there_is_named_in_every_command(config, capsys):
+    """A driver may raise the system's own error."""
+    driver = config.parent / "claw" / "driver.py"
+    refused = 'raise ConnectionRefusedError(111, "Connection refused")'
+    driver.write_text(
+        GRIPPER.replace(
+            "async def connect(self):\n        pass", f"async def connect(self):\n        {refused}"
+        ).replace("async def check(self):\n", "async def check(self):\n        await self.connect()\n")
+    )
+    assert main(["check", "--config", str(config)]) == 1
+    assert "BAD  claw      claw: Connection refused" in capsys.readouterr().out
+    assert main(["home", "--live", "--config", str(config)]) == 1
+    assert capsys.readouterr().err == "FAILED SAFE: Connection refused\n"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right", "expect"),
+    [
+        ("make = Claw", "", "is no module with Settings and make: module 'claw.driver' has no attribute 'make'"),
+        ("make = Claw", "make =", "is no module with Settings and make: invalid syntax (driver.py, line "),
+        ("(DeviceSettings)", "", "expected a class of DeviceSettings"),
+    ],
+)
+def test_a_module_that_is_no_device_is_refused_by_the_rehearsal(config, capsys, wrong, right, expect):
+    (config.parent / "claw" / "driver.py").write_text(GRIPPER.replace(wrong, right))
+    assert main(["insert", "--config", str(config)]) == 2
+    assert expect in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("toml", "expect"),
     [
+        (
+            '[gripper]\ndevice = "claw"',
+            "gripper.device: 'claw' is unknown; allowed: dry_run, wsg50 (a module of your",
+        ),
         ('[robot]\ndevice = "abb_egn"', "robot.device: 'abb_egn' is unknown; did you mean 'abb_egm'?"),
         ('[gripper]\ndevice = "wsg5"', "gripper.device: 'wsg5' is unknown; did you mean 'wsg50'?"),
         ("[gripper]\ndevice = 3", "gripper.device: 3 is unknown; allowed: dry_run, wsg50"),

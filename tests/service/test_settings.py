@@ -26,7 +26,7 @@ def test_a_token_that_is_no_secret_is_refused_in_a_sentence(
 ) -> None:
     monkeypatch.setenv(f"TACTILE_TOKEN_{role.upper()}", token)
     assert entry.main(["run", *CAMERAS, "--host", "0.0.0.0"]) == 2
-    assert f"TACTILE_TOKEN_{role.upper()}: Value error, a token needs 16 or more" in one_line(capsys)
+    assert f"TACTILE_TOKEN_{role.upper()}: a token needs 16 or more" in one_line(capsys)
 
 
 def test_a_token_is_one_roles_own() -> None:

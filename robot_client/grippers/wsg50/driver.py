@@ -130,6 +130,10 @@ class Wsg50(Gripper):
         low, high = self.limits["grasp_width_mm"]
         if not low <= width_mm <= high:
             raise GripperError(f"gripper: cannot open to {width_mm:g} mm, this gripper allows {low:g} .. {high:g}")
+        if not width_mm > (closed_mm := self.settings.grasp_width_mm):
+            raise GripperError(
+                f"gripper: cannot open to {width_mm:g} mm, expected more than grasp_width_mm = {closed_mm:g}"
+            )
         command = Command.RELEASE if self.held else Command.MOVE
         kind = () if self.held else (codes.MoveFlag.STOP_ON_BLOCK,)
         await self._link.request(command, *kind, width_mm, self.settings.grasp_speed_mm_s)

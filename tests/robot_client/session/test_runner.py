@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -62,6 +63,16 @@ class Port:
 def runner(notes, observers=(), **breaks):
     arm, gripper, service = (Port(name, notes, breaks.get(name, "")) for name in ("arm", "gripper", "service"))
     return Runner(PLAN, arm, gripper, service, Recorder(None, PLAN), observers)
+
+
+def test_an_event_of_another_clock_ends_the_insertion_instead_of_its_deadlines():
+    """As of a driver that stamps with time.time()."""
+    notes = []
+    run = runner(notes)
+    run.post(TO_ARMING[0].model_copy(update={"at_s": time.time()}))
+    assert run.state.phase is Phase.FAILED
+    assert "client: clock: begin at" in run.state.reason
+    assert notes == ["hold arm"]
 
 
 def test_an_operator_who_presses_twice_does_not_break_off_the_stop_that_the_first_press_asked_for():

@@ -16,11 +16,11 @@ TRAPEZOID = cv2.getPerspectiveTransform(
 
 
 def test_a_saved_calibration_loads_back_exactly(tmp_path):
-    camera = CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified)
+    camera = CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified, mm_per_px=0.07)
     Calibration(camera, camera).save(tmp_path / "c.toml")
     loaded = Calibration.load(tmp_path / "c.toml")
     assert np.array_equal(loaded.left.homography, TRAPEZOID)
-    assert loaded.camera("right").raw == camera.raw
+    assert (loaded.camera("right").raw, loaded.camera("right").mm_per_px) == (camera.raw, 0.07)
 
 
 @pytest.mark.parametrize(

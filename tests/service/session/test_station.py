@@ -262,12 +262,21 @@ def test_a_station_makes_its_folder_and_gives_its_shadow_a_place(
     assert given == [(tmp_path, True)] * 2 * shadow
 
 
-def test_a_calibration_for_other_networks_is_refused_with_both_sizes(tmp_path: Path, models_folder: Path) -> None:
-    calibration: Any = SimpleNamespace(left=SimpleNamespace(rectified=SimpleNamespace(shape=(240, 320, 3))))
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("327, 320", "320, 240"), r"c\.toml rectifies to \(320, 240\) .* expect \(327, 320\): .*\(gelslim_2019\)"),
+        (("mm_per_px = 0.07", "mm_per_px = 0.06"), r"c\.toml rectifies to 0\.06 mm per px, the models expect 0\.07: "),
+    ],
+)
+def test_a_calibration_for_other_networks_is_refused_with_both_frames(
+    tmp_path: Path, models_folder: Path, change: tuple[str, str], message: str
+) -> None:
+    path = tmp_path / "c.toml"
+    drawn.calibration().save(path)
+    path.write_text(path.read_text().replace(*change))
     settings = Settings(
-        models=models_folder, camera_left="push:", camera_right="push:", recordings=tmp_path, calibration=tmp_path / "c"
+        models=models_folder, camera_left="push:", camera_right="push:", recordings=tmp_path, calibration=path
     )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("service.session.station.Calibration.load", lambda _: calibration)
-        with pytest.raises(ContractError, match=r"rectifies to \(320, 240\) .* expect \(327, 320\)"):
-            open_station(settings)
+    with pytest.raises(ContractError, match=message):
+        open_station(settings)

@@ -15,7 +15,8 @@ from service.perception.finger import TactileFinger
 from service.perception.lens import Warp
 from service.perception.markers.fingerprint import likeness
 from service.perception.rectification import Calibration, CalibrationError
-from service.tools.calibrate import fit_camera, remark
+from service.tools.calibrate import find_grid, fit_camera, remark
+from service.tools.calibration_output import profile_of
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.worlds import load_scene
@@ -178,6 +179,26 @@ def test_a_new_profile_has_the_counts_that_are_seen(tmp_path):
     assert (sensor.marker_rows, sensor.marker_columns) == (7, 9)
     assert sensor.marker_pitch_mm == pytest.approx(2, rel=1e-3)
     assert fit_camera(cv2.imread(str(picture)), "left", sensor).residual_px < 0.5
+
+
+@pytest.mark.parametrize(("pitch_mm", "served"), [(1.05, True), (1.3, False), (0.5, False)])
+def test_a_new_profile_has_the_frame_of_the_released_networks_where_gel_and_picture_fill_it(pitch_mm: float, served):
+    """The same picture of a larger gel would have no room there; of a smaller one, it ends before that frame does."""
+    image = still(renderer("left", 1))
+    released = Sensor.load()
+    sensor = profile_of(image, find_grid(image, "left", None), "mine", pitch_mm, 30, released)
+    assert ((sensor.rectified, sensor.mm_per_px) == (released.rectified, released.mm_per_px)) is served
+    assert sensor.marker_pitch_mm == pytest.approx(pitch_mm, rel=1e-3)
+    fit = fit_camera(image, "left", sensor)
+    assert fit.residual_px < 0.5
+    assert fit.camera.mm_per_px == sensor.mm_per_px
+
+
+def test_a_new_profile_that_no_sensor_option_could_name_is_refused(tmp_path, capsys):
+    picture = tmp_path / "a.png"
+    cv2.imwrite(str(picture), still(renderer("left", 1)))
+    assert main(["calibrate", "--picture", str(picture), "--new-profile", str(tmp_path / "mine")]) == 2
+    assert "expected a file name that ends in .toml" in capsys.readouterr().err
 
 
 @pytest.mark.real_data

@@ -127,6 +127,14 @@ def test_a_sensor_that_the_networks_do_not_read_is_named_before_anything_is_play
         evaluated([str(tmp_path / "mini.toml")], models, tmp_path / "rows.json", "--objects", "circle")
 
 
+def test_a_sensor_with_pictures_of_another_scale_is_named_before_anything_is_played(tmp_path, monkeypatch):
+    monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played"))
+    (tmp_path / "far.toml").write_text("[camera.sensor]\nmm_per_px = 0.06\n")
+    models = tiny_models.write_models(tmp_path / "models")
+    with pytest.raises(ValueError, match=r"327 x 320 px of 0\.06 mm; .* read 327 x 320 px of 0\.07 mm"):
+        evaluated([str(tmp_path / "far.toml")], models, tmp_path / "rows.json", "--objects", "circle")
+
+
 def test_a_folder_in_place_of_the_file_for_rows_is_refused_before_anything_is_played(worlds, tmp_path, monkeypatch):
     monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played"))
     models = tiny_models.write_models(tmp_path / "models")

@@ -161,6 +161,7 @@ def test_closing_finds_nothing_only_where_nothing_is(present, empty):
 
 REFUSED = {
     "opens too far": ({}, lambda driver: driver.release(111.0), "cannot open to 111 mm, this gripper allows 0 .. 110"),
+    "opens no wider": ({}, lambda driver: driver.release(0.08), "to 0.08 mm, expected more than grasp_width_mm = "),
     "opens beyond closed": ({}, lambda driver: driver.release(-1.0), "cannot open to -1 mm"),
     "homes a part away": ({}, lambda driver: driver.home("default"), "holds a part; homing would drop it"),
     "too fast": ({"grasp_speed_mm_s": 421.0}, lambda driver: driver.finds_nothing(), "grasp_speed_mm_s = 421"),
