@@ -43,7 +43,7 @@ class Insertion:
     publish: Callable[[str, Any], None]
     show: Callable[[Observation], None] = ignore
     received_ns: int = field(default_factory=now_ns)
-    recorded_seq: dict[Finger, int] = field(default_factory=dict)
+    recorded: set[tuple[Finger, int]] = field(default_factory=set)
     jpegs: Mapping[tuple[Finger, int], bytes | None] = field(default_factory=dict)
     episode: wire.Episode | None = None
     telemetry_lost_n: int = 0
@@ -193,10 +193,13 @@ class Insertion:
             self._later.append(partial(write, self.recorder, *content))
 
     def _record(self, frame: CameraFrame) -> None:
-        """Record a frame once; a pair may hold one from before the attempt, or one dropped from the queue."""
-        finger, seq = frame.frame.finger, frame.frame.seq
-        if self.recorder and seq > self.recorded_seq.get(finger, -1):
-            self.recorded_seq[finger] = seq
+        """Record a frame once; a pair may hold one from before the attempt, or one dropped from the queue.
+
+        The dropped one may come after newer ones of its finger: on a busy machine its partner arrives late.
+        """
+        named = frame.frame.finger, frame.frame.seq
+        if self.recorder and named not in self.recorded:
+            self.recorded.add(named)
             self._note(Recorder.frame, frame)
 
     def _call(self, value: dict[str, Any], now: int) -> None:
