@@ -52,6 +52,8 @@ class Curves:
         """A message of either side; the client's `arm` begins an attempt, whose gels are at rest."""
         if sender == "client" and message["type"] == "arm":
             self._rest.clear()
+        elif sender == "client" and message["type"] == "abort":
+            self.events.append((at_ns, message["reason"]))
         elif sender == "service" and (entry := event(parse_service(json.dumps(message)))):
             self.events.append((at_ns, entry))
 

@@ -182,6 +182,12 @@ def test_an_interval_is_judged_by_where_the_object_went_in() -> None:
     assert Summary.model_validate(facts | {"outcome": "failed"}).held_n == (0, 0)
 
 
+def test_an_insertion_that_is_not_claimed_is_listed_with_every_doubt() -> None:
+    doubts = tuple(wire.Doubt(reason=r, detail=d) for r, d in (("push", "the gels carry a push"), ("width", "closed")))
+    finished = wire.Finished(insertion_id="a", outcome="not_confirmed", attempts=3, cause="not_confirmed", doubts=doubts)
+    assert event(finished) == "holding: full depth, but not shown to be in; the gels carry a push; closed"
+
+
 def test_a_recorded_insertion_is_played_back_on_one_time_axis(live: LiveService) -> None:
     driver = Driver(live, "played")
     driver.until("hello")
@@ -195,6 +201,7 @@ def test_a_recorded_insertion_is_played_back_on_one_time_axis(live: LiveService)
     assert max(timeline["slip"]["left"][1] + timeline["slip"]["right"][1]) >= 1
     assert max(timeline["push"]["left"][1]) > 0.1
     assert f"moves {shift(decided.dx_mm, decided.dtheta_deg)}" in [event["text"] for event in timeline["events"]]
+    assert [event["text"] for event in timeline["events"][-2:]] == ["done", "stopped by a person"]
     times = [moment["t"] for moment in timeline["moments"]]
     assert times == sorted(times)
     last = timeline["moments"][-1]
