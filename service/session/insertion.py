@@ -14,14 +14,13 @@ from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.seating import strongest_push
 from service.decision.work import arrays_of
 from service.perception.observation import Observation
-from service.recordings.writer import Recorder
+from service.recordings.writer import TASK, Recorder
 from service.session.fingers import gels_of
 from service.session.state_machine import InsertionSession, Replies, ignore
 from service.versions.beside import Beside
 
 Send = Callable[[ServiceMessage], None]
 LET_GO_S = 0.0005  # a thread that keeps computing holds the interpreter lock that the sending thread needs
-_TASK = {"purpose", "object", "start", "approach", "versions"}
 HOLD_S = 0.1  # longest delay of recording, apart from a tick
 
 
@@ -101,7 +100,7 @@ class Insertion:
     def facts(self) -> dict[str, Any]:
         """Facts about the task for the summary."""
         episode = self.episode
-        task = {} if episode is None else episode.model_dump(mode="json", include=_TASK)
+        task = {} if episode is None else episode.model_dump(mode="json", include=set(TASK))
         seconds = round((now_ns() - self.opened_ns) / 1e9, 2)
         lost_n = self.telemetry_lost_n
         task |= {"continues": self.continues} if self.continues else {}
