@@ -152,6 +152,15 @@ def test_a_summary_that_states_no_error_is_named(tmp_path, facts):
         read_episodes(tmp_path, Sensor.load())
 
 
+def test_a_recording_that_is_there_twice_is_named(tmp_path):
+    """As after a month was merged with its backup: the copy would be held out of what was fitted to it."""
+    recorded(tmp_path, 3)
+    read_episodes(tmp_path, Sensor.load())
+    (tmp_path / "0001 (copy)").symlink_to(tmp_path / "0001")
+    with pytest.raises(ContractError, match=r"0001 \(copy\) is a copy of 0001; expected each recording once"):
+        read_episodes(tmp_path, Sensor.load())
+
+
 def test_of_all_probes_only_those_count_that_the_record_of_a_commissioning_lists(tmp_path):
     recorded(tmp_path / "runs", 5)
     record = tmp_path / "commissioning.json"
