@@ -15,7 +15,9 @@ from service.contract import wire
 from service.contract.words.causes import CAUSES
 from service.decision.controllers import BeliefPicture, Command
 from service.recordings.listing import Summary
+from service.recordings.writer import Recorder
 from service.web.page.alarms import Alarms
+from service.web.page.playback import timeline
 from service.web.page.running import Running
 from service.web.page.sentences import ended, event, shift, sure
 from service.web.page.status import Status
@@ -186,6 +188,18 @@ def test_an_insertion_that_is_not_claimed_is_listed_with_every_doubt() -> None:
     doubts = tuple(wire.Doubt(reason=r, detail=d) for r, d in (("push", "the gels carry a push"), ("width", "closed")))
     finished = wire.Finished(insertion_id="a", outcome="not_confirmed", attempts=3, cause="not_confirmed", doubts=doubts)
     assert event(finished) == "holding: full depth, but not shown to be in; the gels carry a push; closed"
+
+
+def test_a_recording_of_another_version_is_played_back_as_far_as_it_is_understood(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, "old", {})
+    opened, closed = wire.OpenLearnt(insertion_id="old"), wire.Finished(insertion_id="old", outcome="failed", attempts=0)
+    for at_ns, message in enumerate((opened.model_dump() | {"since": 2031}, closed.model_dump() | {"cause": "arm"})):
+        recorder.message("service", message, 10**9 * at_ns)
+    events = timeline(recorder.close({"outcome": "failed"}))["events"]
+    assert events == [
+        {"t": 0.0, "text": "open learnt, from another version of the service"},
+        {"t": 1.0, "text": "holding: a fault of the arm"},
+    ]
 
 
 def test_a_recorded_insertion_is_played_back_on_one_time_axis(live: LiveService) -> None:
