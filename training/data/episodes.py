@@ -140,11 +140,12 @@ def _moves(summary: dict[str, Any], shown: dict[int, tuple[Inputs | None, Move]]
 
 
 def _shown(path: Path) -> tuple[Inputs | None, Move]:
-    """The networks' input in an attempt, None if they read no depth, and the move that followed."""
+    """The networks' input in an attempt, None if they read no depth or it was not known, and the move that followed."""
     with path.open("rb") as stream, np.load(stream) as stored:
         decision = json.loads(str(stored["decision"]))
         moves = float(decision.get("dx_mm", 0.0)), float(decision.get("dtheta_deg", 0.0))
-        if "steps" not in stored.files:
+        paused = decision.get("reason") == "stale"  # the steps of a press in which the arm paused are of other depths
+        if paused or "steps" not in stored.files:
             return None, moves
         steps, conditions = stored["steps"], np.asarray(stored["conditions"], np.float32)
     if not len(steps) or steps.shape[1:] != (2, LATTICE.rows, LATTICE.columns, 3):

@@ -152,6 +152,16 @@ def test_a_summary_that_states_no_error_is_named(tmp_path, facts):
         read_episodes(tmp_path, Sensor.load())
 
 
+def test_a_press_in_which_the_arm_paused_teaches_nothing(tmp_path):
+    """How deep it was in each picture is not known, so its steps are of other depths than they say."""
+    rng, moved = np.random.default_rng(0), {"dx_mm": -4.0, "dtheta_deg": 3.0}
+    stale = {"type": "no_decision", "reason": "stale", "detail": "the arm paused in the press"}
+    keep(tmp_path / "a", [(steps_of(1, 1, rng), stale), (steps_of(1, 1, rng), moved)], "insert", "inserted", 5.5, -2.0)
+    keep(tmp_path / "b", [(steps_of(1, 1, rng), stale)], "probe", "failed", 8.0, 8.0)
+    read = read_episodes(tmp_path, Sensor.load())
+    assert (read.error.tolist(), read.objects.tolist()) == ([[4.0, -3.0]], ["later"])
+
+
 def test_a_recording_that_is_there_twice_is_named(tmp_path):
     """As after a month was merged with its backup: the copy would be held out of what was fitted to it."""
     recorded(tmp_path, 3)
