@@ -34,5 +34,5 @@ def ending(cause: Cause | None) -> Ending:
 
 
 def descended_n(cause: str | None, attempts_n: int, doubts: Sized) -> int:
-    """The attempts that went down: one whose refusal ends the insertion did not, unless it is the end that is doubted."""
+    """The attempts that went down: the last did not if its refusal ended the insertion, which states no doubts."""
     return max(0, attempts_n - (cause in {"afresh", "refused"} and not doubts))

@@ -86,7 +86,8 @@ def test_a_recording_that_is_cut_off_or_damaged_is_never_called_the_same(
     whole, again = path.read_bytes(), ["replay", str(path), "--models", str(models_folder)]
     assert main(again) == 0
     capsys.readouterr()
-    assert (flipped := whole.replace(b"1234567", b"1234667")) != whole
+    flipped = whole.replace(b"1234567", b"1234667")
+    assert flipped != whole
     for content in (whole[:-20], flipped):
         path.write_bytes(content)
         assert main(again) == 1

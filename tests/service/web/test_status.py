@@ -186,14 +186,16 @@ def test_an_interval_is_judged_by_where_the_object_went_in() -> None:
 
 def test_an_insertion_that_is_not_claimed_is_listed_with_every_doubt() -> None:
     doubts = tuple(wire.Doubt(reason=r, detail=d) for r, d in (("push", "the gels carry a push"), ("width", "closed")))
-    finished = wire.Finished(insertion_id="a", outcome="not_confirmed", attempts=3, cause="not_confirmed", doubts=doubts)
+    how = {"outcome": "not_confirmed", "cause": "not_confirmed", "attempts": 3, "doubts": doubts}
+    finished = wire.Finished(insertion_id="a", **how)
     assert event(finished) == "holding: full depth, but not shown to be in; the gels carry a push; closed"
 
 
 def test_a_recording_of_another_version_is_played_back_as_far_as_it_is_understood(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, "old", {})
-    opened, closed = wire.OpenLearnt(insertion_id="old"), wire.Finished(insertion_id="old", outcome="failed", attempts=0)
-    for at_ns, message in enumerate((opened.model_dump() | {"since": 2031}, closed.model_dump() | {"cause": "arm"})):
+    opened = wire.OpenLearnt(insertion_id="old").model_dump() | {"since": 2031}
+    closed = wire.Finished(insertion_id="old", outcome="failed", attempts=0, cause="arm").model_dump()
+    for at_ns, message in enumerate((opened, closed)):
         recorder.message("service", message, 10**9 * at_ns)
     events = timeline(recorder.close({"outcome": "failed"}))["events"]
     assert events == [
