@@ -1,6 +1,8 @@
 """`insert`: one insertion, a rehearsal without --live."""
 
 import asyncio
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from robot_client.cli.terminal import Outcome, show, stop_on_signals, warning
@@ -97,7 +99,7 @@ def fixture_of(settings: Settings) -> Fixture | None:
 
 
 async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> Outcome:
-    ran: list[tuple[Runner, list[str]]] = []
+    ran: list[tuple[Runner, Callable[[State], list[str]]]] = []
 
     async def run(plan: Plan) -> State:
         arm, gripper, service = live_ports(settings, plan) if live else rehearsal_ports(plan)
@@ -105,13 +107,13 @@ async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | Non
         written = log.with_stem(f"{log.stem}-{len(ran) + 1}") if log and ran else log
         runner = Runner(plan, arm, gripper, service, Recorder(written, plan), (report,))
         state = await runner.run()
-        ran.append((runner, report.final(state, runner.farewell, arm.statistics())))
+        ran.append((runner, partial(report.final, farewell=runner.farewell, link=arm.statistics())))
         return state
 
     stop_on_signals()
     state = await upright(plan, run, fixture_of(settings) if live else None, show)
-    runner, lines = ran[-1]
-    for line in lines:
+    runner, final = ran[-1]
+    for line in final(state):  # with the attempts of all grasps
         show(line)
     if log is not None:
         lost = f", BROKEN OFF: {runner.recorder.lost}" if runner.recorder.lost else ""

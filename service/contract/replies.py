@@ -34,5 +34,5 @@ def ending(cause: Cause | None) -> Ending:
 
 
 def descended_n(cause: str | None, attempts_n: int, doubts: Sized) -> int:
-    """The attempts that went down: one that ends for a regrasp was refused before it did, unless its end is doubted."""
-    return attempts_n - (cause == "afresh" and not doubts)
+    """The attempts that went down: the last did not if its refusal ended the insertion, which states no doubts."""
+    return max(0, attempts_n - (cause in {"afresh", "refused"} and not doubts))

@@ -42,7 +42,7 @@ def opened(path: Path) -> Iterator[McapReader]:
     """The reader of a finished recording; one that is damaged raises RecordingError, whatever its library raises."""
     try:
         with path.open("rb") as stream:
-            yield make_reader(stream)
+            yield make_reader(stream, validate_crcs=True)
     except ContractError:
         raise
     except Exception as error:
@@ -50,7 +50,7 @@ def opened(path: Path) -> Iterator[McapReader]:
 
 
 class Recording:
-    """A recorded insertion; ``complete`` is False if the file ends early (the part read is still valid).
+    """A recorded insertion; ``damage`` is why the file cannot be read to its end (the part read is still valid).
 
     ``recovered`` is True if it once did and was closed at the next start. ``settings``: JSON of the service's.
     """
@@ -61,7 +61,8 @@ class Recording:
         self.outcome: dict[str, str] = {}
         self.settings = b"{}"
         self.entries: list[Entry] = []
-        self.complete = self.recovered = False
+        self.damage = ""
+        self.recovered = False
         if not path.is_file():
             raise RecordingError(f"no recording at {path}")
         with path.open("rb") as stream:
@@ -72,7 +73,7 @@ class Recording:
     def _read(self, stream: Any) -> Iterator[Entry]:
         channels: dict[int, Channel] = {}
         try:
-            for record in StreamReader(stream).records:
+            for record in StreamReader(stream, validate_crcs=True).records:
                 match record:
                     case Channel():
                         channels[record.id] = record
@@ -87,12 +88,15 @@ class Recording:
                     case Message():
                         topic = channels[record.channel_id].topic
                         yield Entry(topic, record.log_time, record.sequence, record.data)
-            self.complete = True
         except Exception as error:  # cut off or damaged: the library has no one error for it
+            self.damage = str(error) or type(error).__name__
             if not self.metadata:
-                raise RecordingError(
-                    f"{self.path} is no readable MCAP file: {str(error) or type(error).__name__}"
-                ) from error
+                raise RecordingError(f"{self.path} is no readable MCAP file: {self.damage}") from error
+
+    @property
+    def complete(self) -> bool:
+        """Whether the file was read to its end."""
+        return not self.damage
 
     @property
     def offset_ns(self) -> int:

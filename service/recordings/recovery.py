@@ -19,7 +19,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from service.contract import ContractError
-from service.recordings.writer import FINAL, PART, RECOVERING, RECOVERY, UNREADABLE, write_whole
+from service.recordings.writer import FINAL, PART, RECOVERING, RECOVERY, TASK, UNREADABLE, write_whole
 
 LOCK = "lock"
 log = structlog.get_logger()
@@ -130,7 +130,7 @@ def _copy(stream: IO[bytes], out: IO[bytes]) -> dict[str, object] | None:
                 number = message.get("attempt", 0)
                 attempts = max(attempts, number if isinstance(number, int) else 0)
                 if message.get("type") == "episode":
-                    task = {key: message.get(key) for key in ("object", "start", "approach", "versions")}
+                    task = {key: message.get(key) for key in TASK}
     writer.add_metadata(RECOVERY, {"reason": "the service ended without closing this recording"})
     writer.finish()
     return (

@@ -14,14 +14,13 @@ from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.seating import strongest_push
 from service.decision.work import arrays_of
 from service.perception.observation import Observation
-from service.recordings.writer import Recorder
+from service.recordings.writer import TASK, Recorder
 from service.session.fingers import gels_of
 from service.session.state_machine import InsertionSession, Replies, ignore
 from service.versions.beside import Beside
 
 Send = Callable[[ServiceMessage], None]
 LET_GO_S = 0.0005  # a thread that keeps computing holds the interpreter lock that the sending thread needs
-_TASK = {"purpose", "object", "start", "approach", "versions"}
 HOLD_S = 0.1  # longest delay of recording, apart from a tick
 
 
@@ -43,7 +42,7 @@ class Insertion:
     publish: Callable[[str, Any], None]
     show: Callable[[Observation], None] = ignore
     received_ns: int = field(default_factory=now_ns)
-    recorded_seq: dict[Finger, int] = field(default_factory=dict)
+    recorded: set[tuple[Finger, int]] = field(default_factory=set)
     jpegs: Mapping[tuple[Finger, int], bytes | None] = field(default_factory=dict)
     episode: wire.Episode | None = None
     telemetry_lost_n: int = 0
@@ -101,7 +100,7 @@ class Insertion:
     def facts(self) -> dict[str, Any]:
         """Facts about the task for the summary."""
         episode = self.episode
-        task = {} if episode is None else episode.model_dump(mode="json", include=_TASK)
+        task = {} if episode is None else episode.model_dump(mode="json", include=set(TASK))
         seconds = round((now_ns() - self.opened_ns) / 1e9, 2)
         lost_n = self.telemetry_lost_n
         task |= {"continues": self.continues} if self.continues else {}
@@ -193,10 +192,13 @@ class Insertion:
             self._later.append(partial(write, self.recorder, *content))
 
     def _record(self, frame: CameraFrame) -> None:
-        """Record a frame once; a pair may hold one from before the attempt, or one dropped from the queue."""
-        finger, seq = frame.frame.finger, frame.frame.seq
-        if self.recorder and seq > self.recorded_seq.get(finger, -1):
-            self.recorded_seq[finger] = seq
+        """Record a frame once; a pair may hold one from before the attempt, or one dropped from the queue.
+
+        The dropped one may come after newer ones of its finger: on a busy machine its partner arrives late.
+        """
+        named = frame.frame.finger, frame.frame.seq
+        if self.recorder and named not in self.recorded:
+            self.recorded.add(named)
             self._note(Recorder.frame, frame)
 
     def _call(self, value: dict[str, Any], now: int) -> None:

@@ -30,6 +30,7 @@ from service.settings import Deadlines
 
 _TIMES = {"latency_ms", "age_ms", "recording"}
 _USUAL = Deadlines()
+_NEEDED = {"models", "calibration", "limits", "controller", "wall_minus_monotonic_ns"}  # of the metadata
 
 
 class _Given(BaseModel):
@@ -147,7 +148,7 @@ def trusted_models(recording: Recording, folder: Path) -> ModelSet:
     recorded = {part.rsplit(":", 1)[1] for part in recording.metadata["models"].split() if ":" in part}
     files = {hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.glob("*.onnx")}
     if not recorded or not recorded <= files:
-        where = f"they lay in {recording.metadata['models_folder']}; where you trust them, name it with --models"
+        where = f"they lay in {recording.metadata.get('models_folder')}; where you trust them, name it with --models"
         raise RecordingError(
             f"{recording.path} was decided by other models than those of {folder}"
             f" ({recording.metadata['models']}); {where}"
@@ -168,20 +169,34 @@ def _before(recording: Recording) -> Path | None:
     return max(earlier)
 
 
+def _opened(path: Path) -> Recording:
+    """A recording that says what deciding it again takes; raises RecordingError."""
+    recording = Recording(path)
+    if missing := sorted(_NEEDED - recording.metadata.keys()):
+        raise RecordingError(f"{path} lacks {', '.join(missing)} in its metadata: another version or program made it")
+    return recording
+
+
 def _replayed(recording: Recording, models: ModelSet) -> Replay:
     """A recording decided again; one that continues with a regrasped object needs the one before it."""
     replay = open_replay(recording, models)
     if before := _before(recording):
-        decider = _replayed(Recording(before), models).session.decider
+        decider = _replayed(_opened(before), models).session.decider
         replay.session.decider = decider and decider.afresh(recording.metadata["insertion_id"])
     replay.run()
     return replay
 
 
 def redecide(path: Path, models_folder: Path | None = None) -> tuple[int, list[str]]:
-    """Decide a recording again; returns the number of messages, and the differences as lines."""
-    recording = Recording(path)
+    """Decide a recording again; returns the number of messages, and the differences as lines.
+
+    Of a file that is cut off or damaged this is what can be read, and another line says so.
+    """
+    recording = _opened(path)
     replay = _replayed(recording, trusted_models(recording, models_folder or released_models()))
     recorded = [e.json()["message"] for e in recording.of("/messages") if e.json()["from"] == "service"]
-    replies = replay.replies[: len(recorded)] if recording.recovered else replay.replies
-    return len(recorded), differences(recorded, replies)
+    whole = recording.complete and not recording.recovered
+    differing = differences(recorded, replay.replies if whole else replay.replies[: len(recorded)])
+    if not recording.complete:
+        differing.append(f"the file ends early or is damaged, behind message {len(recorded)}: {recording.damage}")
+    return len(recorded), differing

@@ -65,7 +65,7 @@ class Comparison:
         rows = [{"stage": stage, **row} for stage, row in self.figures.items()]
         columns = (
             ("stage", "stage"),
-            ("nll", "likelihood", ".3f"),
+            ("negative log likelihood", "likelihood", ".3f"),
             ("direction", "accuracy", ".1%"),
             ("MAE x mm", "mae_x_mm", ".2f"),
             ("MAE yaw deg", "mae_theta_deg", ".2f"),

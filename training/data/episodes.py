@@ -44,8 +44,8 @@ class Attempt(NamedTuple):
 def read_episodes(root: Path, sensor: Sensor, record: Path | None = None) -> Pressed:
     """All attempts below ``root`` with a known error, in order of time, as training samples.
 
-    ``record`` of a commissioning: of all probes, only those that it lists. Raises ContractError where there is none, or
-    where an attempt was recorded on another lattice or under other conditions.
+    ``record`` of a commissioning: of all probes, only those that it lists. Raises ContractError where there is none,
+    where an attempt was recorded on another lattice or under other conditions, or where a recording is there twice.
     """
     folders = sorted(path.parent for path in root.glob("*/summary.json"))
     listed = None if record is None else _listed(record)
@@ -55,7 +55,17 @@ def read_episodes(root: Path, sensor: Sensor, record: Path | None = None) -> Pre
             f"{root}: {len(folders)} recordings and no attempt whose error is known; expected probes or insertions that"
             " went in after a correction, decided by networks that read depth"
         )
+    _refuse_copies(root, attempts)
     return pressed_of(attempts, sensor)
+
+
+def _refuse_copies(root: Path, attempts: list[Attempt]) -> None:
+    """A recording that is there twice would be held out of what was fitted to it."""
+    fixtures: dict[tuple[Move, bytes], str] = {}
+    for attempt in attempts:
+        first = fixtures.setdefault((attempt.error, hashlib.sha256(attempt.steps.tobytes()).digest()), attempt.fixture)
+        if first != attempt.fixture:
+            raise ContractError(f"{root}: {attempt.fixture} is a copy of {first}; expected each recording once")
 
 
 def pressed_of(attempts: list[Attempt], sensor: Sensor) -> Pressed:
@@ -130,11 +140,12 @@ def _moves(summary: dict[str, Any], shown: dict[int, tuple[Inputs | None, Move]]
 
 
 def _shown(path: Path) -> tuple[Inputs | None, Move]:
-    """The networks' input in an attempt, None if they read no depth, and the move that followed."""
+    """The networks' input in an attempt, None if they read no depth or it was not known, and the move that followed."""
     with path.open("rb") as stream, np.load(stream) as stored:
         decision = json.loads(str(stored["decision"]))
         moves = float(decision.get("dx_mm", 0.0)), float(decision.get("dtheta_deg", 0.0))
-        if "steps" not in stored.files:
+        paused = decision.get("reason") == "stale"  # the steps of a press in which the arm paused are of other depths
+        if paused or "steps" not in stored.files:
             return None, moves
         steps, conditions = stored["steps"], np.asarray(stored["conditions"], np.float32)
     if not len(steps) or steps.shape[1:] != (2, LATTICE.rows, LATTICE.columns, 3):

@@ -55,11 +55,16 @@ function seek(seconds) {
   if (best !== Number(at("scrub").value)) { at("scrub").value = best; show(); }
 }
 
+// The last that had happened by then; at the last moment also how it ended, which no frame shows.
+function happened({ moments, events }, moment) {
+  const after = events.filter(({ t }) => t > moment.t), last = events[events.length - after.length - 1];
+  return [...(last ? [last] : []), ...(moment === moments.at(-1) ? after : [])].map(({ text }) => text).join("; ");
+}
+
 async function show() {
   const mine = shown, moment = mine?.moments[Number(at("scrub").value)];
-  if (!moment) { at("then").textContent = "No frame of this insertion was judged."; return; }
-  const said = mine.events.filter(({ t }) => t <= moment.t).at(-1)?.text ?? "";
-  at("then").textContent = `${moment.t.toFixed(2)} s  ${said}`;
+  if (!moment) { at("then").textContent = ["No frame of this insertion was judged", ...(mine?.events ?? []).map(({ text }) => text)].join("; "); return; }
+  at("then").textContent = `${moment.t.toFixed(2)} s  ${happened(mine, moment)}`;
   at("scrub").setAttribute("aria-valuetext", at("then").textContent);
   for (const plot of mine.plots) plot.setCursor({ left: plot.valToPos(moment.t, "x"), top: 0 }, false);
   const number = (asked += 1);

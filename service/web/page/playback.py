@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from mcap.reader import McapReader
 
-from service.contract import FINGERS, Finger
+from service.contract import FINGERS, ContractError, Finger
 from service.contract.wire import parse_service
 from service.perception.rectification import Calibration, Rectifier
 from service.recordings.reader import RecordingError, opened, pixels_of
@@ -52,7 +52,9 @@ class Curves:
         """A message of either side; the client's `arm` begins an attempt, whose gels are at rest."""
         if sender == "client" and message["type"] == "arm":
             self._rest.clear()
-        elif sender == "service" and (entry := event(parse_service(json.dumps(message)))):
+        elif sender == "client" and message["type"] == "abort":
+            self.events.append((at_ns, message["reason"]))
+        elif sender == "service" and (entry := _line(message)):
             self.events.append((at_ns, entry))
 
     def as_json(self) -> dict[str, Any]:
@@ -80,6 +82,14 @@ class Curves:
                 last_ns = at
                 other = right[min(bisect_left(right, at), len(right) - 1)]
                 yield {"t": round((at - start_ns) / 1e9, 3), "left": str(at), "right": str(other)}
+
+
+def _line(message: dict[str, Any]) -> str:
+    """The line of a message of the service; of one that another version sent, at least its name."""
+    try:
+        return event(parse_service(json.dumps(message)))
+    except ContractError:
+        return f"{message['type']}, from another version of the service".replace("_", " ")
 
 
 def timeline(path: Path) -> dict[str, Any]:

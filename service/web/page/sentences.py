@@ -89,7 +89,8 @@ def event(message: Any, earlier_n: int = 0) -> str:
     if isinstance(message, wire.Armed):
         return f"attempt {earlier_n + message.attempt} begins"
     if isinstance(message, wire.Finished):
-        return ended(message.outcome, message.cause, earlier_n + message.attempts).lower()
+        how = ended(message.outcome, message.cause, earlier_n + message.attempts).lower()
+        return "; ".join([how, *(doubt.detail for doubt in message.doubts)])
     line = LINES.get(type(message))
     return line(message) if line else ""
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -170,6 +171,19 @@ def test_the_json_of_an_insertion_and_of_its_replay_agree(tmp_path, capsys):
     assert main(["replay", str(log), "--json"]) == 0
     replayed = json.loads(capsys.readouterr().out)
     assert (inserted["log"], inserted["phase"], inserted["attempts"]) == (str(log), "inserted", replayed["attempts"])
+
+
+def test_the_last_screen_counts_the_attempts_of_all_grasps(monkeypatch, capsys):
+    """A rehearsed object never turns in the hand, so earlier grasps are added to it here."""
+
+    async def after_a_regrasp(plan, run, *_):
+        state = await run(plan)
+        return replace(state, attempt=state.attempt + 2)
+
+    monkeypatch.setattr("robot_client.cli.insert.upright", after_a_regrasp)
+    assert main(["insert", "--x-mm", "8", "--json"]) == 0
+    printed = capsys.readouterr()
+    assert f"INSERTED after {json.loads(printed.out)['attempts']} attempts" in printed.err
 
 
 def test_check_reads_every_device_and_moves_nothing(capsys):

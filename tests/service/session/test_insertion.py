@@ -196,6 +196,20 @@ def test_every_frame_is_recorded_once_from_the_first_on_whichever_way_it_came(wi
     assert topics == {"left": [0, 1, 2], "right": [0, 1, 2]}
 
 
+def test_a_dropped_frame_whose_partner_comes_after_the_next_one_is_recorded_too(witness: Witness) -> None:
+    """Of a busy machine: the left finger's frame 1 was dropped from the queue, and its pair comes after frame 2."""
+    pairs = [drawn.pair(index) for index in range(3)]
+    witness.insertion.message(wire.ClientHello(insertion_id="first", client="test"))
+    witness.insertion.message(wire.Arm(insertion_id="first", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0))
+    witness.insertion.frame(CameraFrame(pairs[0].right, None), pairs[0])
+    witness.insertion.frame(CameraFrame(pairs[2].left, None), None)
+    witness.insertion.frame(CameraFrame(pairs[1].right, None), pairs[1])
+    recording = Recording(witness.recorder.close({}))
+    called = [call["left"] for entry in recording.of("/calls") if (call := entry.json())["call"] == "pair"]
+    assert called == [0, 1]
+    assert set(called) <= set(recording.frames("left"))
+
+
 def test_a_slip_is_as_old_as_its_frame_is_when_it_is_sent_and_not_when_it_was_found(witness: Witness) -> None:
     frame_ns, sent_ns = 5_000_000_000, 5_012_500_000
     slip = wire.Slip(

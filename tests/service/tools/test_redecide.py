@@ -67,6 +67,33 @@ def test_models_that_the_user_trusts_are_opened_once_their_hashes_are_the_record
     assert json.loads(capsys.readouterr().out) == {"same": True, "messages_n": 0, "differing": []}
 
 
+def test_a_recording_of_another_version_is_refused_by_what_it_lacks(
+    tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = Recorder(tmp_path, "old", {"models": "", "limits": "{}"}).close({"outcome": "inserted", "attempts": 1})
+    assert main(["replay", str(path), "--models", str(models_folder)]) == 2
+    assert "lacks calibration, controller in its metadata" in capsys.readouterr().err
+
+
+def test_a_recording_that_is_cut_off_or_damaged_is_never_called_the_same(
+    tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    facts = {"models": " ".join(f"tiny:{h}" for h in hashes_of(models_folder)), "models_folder": "", "calibration": ""}
+    limits = '{"max_dx_mm": 15.0, "max_dtheta_deg": 15.0, "max_frame_age_ms": 150.0}'
+    recorder = Recorder(tmp_path / "r", "damaged", facts | {"controller": "belief", "limits": limits})
+    recorder.call({"call": "tick"}, 1234567)
+    path = recorder.close({"outcome": "aborted", "attempts": 0})
+    whole, again = path.read_bytes(), ["replay", str(path), "--models", str(models_folder)]
+    assert main(again) == 0
+    capsys.readouterr()
+    flipped = whole.replace(b"1234567", b"1234667")
+    assert flipped != whole
+    for content in (whole[:-20], flipped):
+        path.write_bytes(content)
+        assert main(again) == 1
+        assert capsys.readouterr().out.startswith("the file ends early or is damaged, behind message 0: ")
+
+
 def test_a_folder_of_models_is_told_as_json(models_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["models", str(models_folder), "--json"]) == 0
     models = json.loads(capsys.readouterr().out)

@@ -48,6 +48,22 @@ def test_an_answer_that_comes_late_is_not_shown_in_the_recording_opened_since(
     assert page.problems == []
 
 
+@pytest.mark.parametrize("attempts_n", [0, 1])
+def test_a_playback_ends_with_how_and_why_the_insertion_ended(live: LiveService, page: Any, attempts_n: int) -> None:
+    """Its end comes after the last frame that was judged, or there was no frame at all."""
+    driver = insertion(live, f"stopped-after-{attempts_n}")
+    for number in range(1, attempts_n + 1):
+        driver.attempt(number)
+    give_up(driver, "arm", "arm: controller: motors off")
+    page.goto(live.url("/#history"))
+    page.get_by_label(f"play back {driver.id}", exact=True).click()
+    wait_until(page, PLAYED)
+    page.locator("#scrub").focus()
+    page.keyboard.press("End")
+    wait_until(page, "document.getElementById('then').textContent.includes('; arm: controller: motors off; holding:')")
+    assert page.problems == []
+
+
 def test_what_a_person_ended_is_listed_and_counts_neither_as_tried_nor_in_the_trend(
     live: LiveService, page: Any
 ) -> None:

@@ -100,6 +100,13 @@ def test_an_attempt_that_went_down_counts_although_the_object_is_taken_afresh(tm
     assert (put.descended_n, put.goes_on("c").attempt, put.goes_on("c").afresh_n) == (2, 2, 2)
 
 
+def test_an_attempt_that_was_refused_is_none_that_went_down(tmp_path: Path) -> None:
+    """A client of one's own may also give up before its first attempt."""
+    for second, (cause, attempts_n) in enumerate((("refused", 3), ("refused", 1), ("afresh", 0), ("arm", 1))):
+        ended(tmp_path, second, insertion_id="one", attempts=attempts_n, cause=cause)
+    assert [one["descended_n"] for one in list_recordings(tmp_path)[0]] == [1, 0, 0, 2]
+
+
 def test_the_page_counts_a_doubted_attempt(live: LiveService) -> None:
     status, publish = Status(live.station), live.station.hub.publish
     opened = {"models": (), "cameras": (), "controller": "belief", "limits": live.station.settings.limits}

@@ -15,7 +15,9 @@ from service.contract import wire
 from service.contract.words.causes import CAUSES
 from service.decision.controllers import BeliefPicture, Command
 from service.recordings.listing import Summary
+from service.recordings.writer import Recorder
 from service.web.page.alarms import Alarms
+from service.web.page.playback import timeline
 from service.web.page.running import Running
 from service.web.page.sentences import ended, event, shift, sure
 from service.web.page.status import Status
@@ -182,6 +184,26 @@ def test_an_interval_is_judged_by_where_the_object_went_in() -> None:
     assert Summary.model_validate(facts | {"outcome": "failed"}).held_n == (0, 0)
 
 
+def test_an_insertion_that_is_not_claimed_is_listed_with_every_doubt() -> None:
+    doubts = tuple(wire.Doubt(reason=r, detail=d) for r, d in (("push", "the gels carry a push"), ("width", "closed")))
+    how = {"outcome": "not_confirmed", "cause": "not_confirmed", "attempts": 3, "doubts": doubts}
+    finished = wire.Finished(insertion_id="a", **how)
+    assert event(finished) == "holding: full depth, but not shown to be in; the gels carry a push; closed"
+
+
+def test_a_recording_of_another_version_is_played_back_as_far_as_it_is_understood(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, "old", {})
+    opened = wire.OpenLearnt(insertion_id="old").model_dump() | {"since": 2031}
+    closed = wire.Finished(insertion_id="old", outcome="failed", attempts=0, cause="arm").model_dump()
+    for at_ns, message in enumerate((opened, closed)):
+        recorder.message("service", message, 10**9 * at_ns)
+    events = timeline(recorder.close({"outcome": "failed"}))["events"]
+    assert events == [
+        {"t": 0.0, "text": "open learnt, from another version of the service"},
+        {"t": 1.0, "text": "holding: a fault of the arm"},
+    ]
+
+
 def test_a_recorded_insertion_is_played_back_on_one_time_axis(live: LiveService) -> None:
     driver = Driver(live, "played")
     driver.until("hello")
@@ -195,6 +217,7 @@ def test_a_recorded_insertion_is_played_back_on_one_time_axis(live: LiveService)
     assert max(timeline["slip"]["left"][1] + timeline["slip"]["right"][1]) >= 1
     assert max(timeline["push"]["left"][1]) > 0.1
     assert f"moves {shift(decided.dx_mm, decided.dtheta_deg)}" in [event["text"] for event in timeline["events"]]
+    assert [event["text"] for event in timeline["events"][-2:]] == ["done", "stopped by a person"]
     times = [moment["t"] for moment in timeline["moments"]]
     assert times == sorted(times)
     last = timeline["moments"][-1]

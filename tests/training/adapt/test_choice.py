@@ -5,7 +5,7 @@ import pytest
 
 from service.contract import Sensor
 from service.contract.shipped import released_models
-from tests.training.adapt.test_adapt import recorded
+from tests.training.data.test_episodes import recorded
 from training.adapt.adapt import compare
 from training.data.episodes import read_episodes
 from training.data.labels import class_of

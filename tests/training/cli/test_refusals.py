@@ -13,7 +13,7 @@ from export.cli.commands import main as export_main
 from service.contract import ContractError, Sensor
 from simulation.data.manifest import MANIFEST, ShardEntry
 from tests.simulation.strategies import made_up_dataset, made_up_trial
-from tests.training.adapt.test_adapt import recorded
+from tests.training.data.test_episodes import recorded
 from training.cli.commands import main
 from training.data.labels import CLASSES
 from training.fit.checkpoint import Checkpoint
