@@ -63,7 +63,8 @@ def with_repeats(
         name = f"signs-{number}-again-{again}"
         repeats = [{**jobs[index], "seed": seed_of(jobs[index]["seed"], SIGNS, again)} for index in late]
         for place, (index, row) in enumerate(zip(late, play(name, repeats), strict=True)):
-            rows[index], folders[index] = row, f"{name}/{place:05d}"
+            took_s = rows[index]["robot_s"] + row["robot_s"]
+            rows[index], folders[index] = {**row, "robot_s": took_s}, f"{name}/{place:05d}"
     return rows, folders
 
 

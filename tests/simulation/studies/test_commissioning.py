@@ -82,7 +82,7 @@ def test_a_sign_whose_pictures_came_too_late_is_repeated_with_other_noise(tmp_pa
         stale = len(folders_n) <= stale_n
         late = {"reason": "stale", "detail": "the arm paused in the press"}
         which = {job["index"]: late if stale and job["index"] == 1 else {"number": job["index"]} for job in jobs}
-        return [{"reason": "", "trials": [{"decision": which[job["index"]]}]} for job in jobs]
+        return [{"reason": "", "robot_s": 15.0, "trials": [{"decision": which[job["index"]]}]} for job in jobs]
 
     monkeypatch.setattr(commissioning, "_played", played)
     cell = Cell(World(), load_objects(OBJECTS), tmp_path, 1)
@@ -92,6 +92,7 @@ def test_a_sign_whose_pictures_came_too_late_is_repeated_with_other_noise(tmp_pa
     last = f"signs-1-again-{again_n}/00000" if again_n else "signs-1/00001"
     assert folders == [tmp_path / name for name in ("signs-1/00000", last, "signs-1/00002", "signs-1/00003")]
     assert (signs[1]["trials"][0]["decision"] == {"number": 1}) == (stale_n <= again_n)
+    assert sum(row["robot_s"] for row in signs) == 15.0 * (4 + again_n)
 
 
 def test_the_page_bears_a_run_that_only_asked_for_signs():
