@@ -197,8 +197,8 @@ class QuasiStaticCell:
             # the only equilibrium may be far away: leap over what no short step passes, or else crawl through it
             for blend in EASED:
                 status = self._pass(target, dt_s, blend)
-                if status != load_step.STALLED:
-                    return self._arrive(target, status)
+                if status == load_step.SETTLED:
+                    return self._arrive(target, lost=False)
         try:
             self._divide(target, 0, dt_s, last=EASED[-1])
         except PhysicsError:
@@ -206,34 +206,33 @@ class QuasiStaticCell:
             self._each = load_step.EXACT  # what runs along an edge does so for many steps
 
     def _divide(self, target: Array, depth: int, dt_s: float | None, *, each: float = 1.0, last: float = 1.0) -> None:
-        """Halve a load step until its parts settle; each, last: blend of every part, and of the shortest if stalled."""
+        """Halve a load step until it settles; each, last: blend of every part, and of the shortest if stalled."""
         status = self._pass(target, dt_s, each)
         if status == load_step.STALLED and last < 1.0 and depth == MAX_HALVINGS:
             status = self._pass(target, dt_s, last)
-        if status == load_step.STALLED and self._drops():
-            status = load_step.LOST
-        if status == load_step.STALLED and depth < MAX_HALVINGS:
-            middle = 0.5 * (self.pose + target)
+        drops = status == load_step.STALLED and self._drops()  # lost in a longer part, the solver may have overshot
+        if status != load_step.SETTLED and not drops and depth < MAX_HALVINGS:
             half_s = None if dt_s is None else 0.5 * dt_s
-            self._divide(middle, depth + 1, half_s, each=each, last=last)
-            self._divide(target, depth + 1, half_s, each=each, last=last)
+            for part in (0.5 * (self.pose + target), target):
+                if not self.lost():
+                    self._divide(part, depth + 1, half_s, each=each, last=last)
             return
-        if status == load_step.STALLED:
+        if status == load_step.STALLED and not drops:
             reason = self._why()
             raise PhysicsError(
                 f"scene {self.scene.name!r}: no equilibrium within {self.scene.numerics.residual_n} N at TCP "
                 f"{np.round(target[:3], 3).tolist()} mm: {reason}, forces off by {self.state['report'][0]:.2e} N",
                 reason,
             )
-        self._arrive(target, status)
+        self._arrive(target, lost=status != load_step.SETTLED)
 
-    def _arrive(self, target: Array, status: int) -> None:
+    def _arrive(self, target: Array, *, lost: bool) -> None:
         """Finish a load step at its target, solved or with the object lost."""
         self.pose = target
         if self.coasting is not None:
             self.coasting.arrive(self._centre())
         grips, far = self._grips(), bool(np.abs(self.state["place"]).max() > LOST_MM)
-        if status == load_step.LOST or far or grips.min() < LOST_GRIP * grips.max():
+        if lost or far or grips.min() < LOST_GRIP * grips.max():
             self.grasp_lost = True
 
     def _drops(self) -> bool:

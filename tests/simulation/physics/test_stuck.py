@@ -65,3 +65,26 @@ def test_a_wait_of_a_rounding_error_changes_nothing() -> None:
     before = cell.regrasp(8.0, 5.0)
     after = cell.wait(2e-13)
     assert after.in_hand == pytest.approx(before.in_hand, abs=1e-6)
+
+
+@pytest.mark.parametrize(("longest_mm", "lost"), [(0.05, False), (0.0, True)])
+def test_an_object_has_left_the_hand_only_where_the_shortest_step_says_so(
+    monkeypatch: pytest.MonkeyPatch, longest_mm: float, lost: bool
+) -> None:
+    """The solver may overshoot in a long step of soft gel: its last guess is far away, the object is not."""
+    solve = QuasiStaticCell._pass
+    cell, whole = (QuasiStaticCell(load_scene("rectangle", **UPRIGHT)) for _ in range(2))
+    for one in (cell, whole):
+        one.regrasp(6.0, 0.0)
+
+    def overshoots(self: QuasiStaticCell, target: NDArray[np.float64], dt_s: float | None, blend: float = 1.0) -> int:
+        far = self is cell and abs(target[2] - self.pose[2]) > longest_mm
+        return load_step.LOST if far else solve(self, target, dt_s, blend)
+
+    monkeypatch.setattr(QuasiStaticCell, "_pass", overshoots)
+    for one in (cell, whole):
+        descend(one, 9.0)
+    assert (cell.grasp_lost, whole.grasp_lost) == (lost, False)
+    if not lost:
+        assert whole.state["wrench"][2] > 10.0, "it rests on a block"
+        np.testing.assert_allclose(cell.state["wrench"], whole.state["wrench"], rtol=0.02, atol=0.2)
