@@ -33,7 +33,7 @@ from simulation.scene.scene import Scene
 from simulation.scene.worlds import World
 from simulation.studies.episodes import Episode, play
 from simulation.studies.pace.points import client, with_care
-from simulation.studies.wiring import by_corner, carried_out, named_mistakes, probes, seed_of, touched, with_repeats
+from simulation.studies.wiring import by_corner, carried_out, named_mistakes, probes, seed_of, touched
 
 COUNTED = (
     *("direction_right", "direction_n", "mae_x_mm", "mae_theta_deg", "covered_x", "covered_theta"),
@@ -130,7 +130,8 @@ def commission(cell: Cell, plan: Plan) -> Row:
     A cell with a mistake stops there: no version is played, and all its counts are 0. ``wired_right``: whether it has
     none in truth.
     """
-    signs, labelled = _asked_for_signs(cell, plan)
+    signs, folder = _asked_for_signs(cell, plan)
+    labelled = [folder / f"{index:05d}" for index in range(len(signs))]
     row: Row = {"world": cell.world.name, "wired_right": cell.world.unstated.wired_right}
     row |= {"mistakes_named": named_mistakes(signs), "signs_told": carried_out(signs)}
     if row["mistakes_named"] or not plan.probes:
@@ -157,19 +158,20 @@ def commission(cell: Cell, plan: Plan) -> Row:
     }
 
 
-def _asked_for_signs(cell: Cell, plan: Plan) -> tuple[list[Row], list[Path]]:
-    """The wiring check's four probes, and their folders: with the first object that touches something.
+def _asked_for_signs(cell: Cell, plan: Plan) -> tuple[list[Row], Path]:
+    """The wiring check's four probes, and their folder: with the first object that touches something.
 
     Where none does, those of the first object with which they were carried out, if there is one.
     """
-    signs, folders = list[Row](), list[Path]()
+    signs, folder = list[Row](), cell.folder
     for number, jobs in enumerate(cell.signs(), 1):
-        rows, names = with_repeats(lambda name, some: _played(cell, plan, name, some, in_order=True), number, jobs)
+        name = f"signs-{number}"
+        rows = _played(cell, plan, name, jobs, in_order=True)
         if not signs or touched(rows) or not carried_out(signs):
-            signs, folders = rows, [cell.folder / name for name in names]
+            signs, folder = rows, cell.folder / name
         if touched(rows):
             break
-    return signs, folders
+    return signs, folder
 
 
 def _lessons(cell: Cell, plan: Plan, labelled: Sequence[Path]) -> dict[str, Sequence[Path]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from reporting.files import write_durably
 from robot_client.insertion.state import REFUSED, State
-from robot_client.session.commission.run import GRASPS_N
+from robot_client.session.commission.run import GRASPS_N, STALE
 from service.decision.attempt import Attempt
 from service.decision.work import read_by_depth
 from simulation.closed_loop.client import trip_s
@@ -49,8 +49,9 @@ def play(episode: Episode) -> Row:
         insertion.state = State(plan)
         insertion.session.on_attempt = attempts.append
         outcome = insertion.run()
-        while plan.only_probes and hangs_askew(insertion):
+        while plan.only_probes and (hangs_askew(insertion) or is_stale(insertion)):
             attempts.clear()
+            insertion.trials.clear()
             insertion.take_afresh(plan)
             insertion.begin_again(plan)
             insertion.session.on_attempt = attempts.append
@@ -66,6 +67,12 @@ def play(episode: Episode) -> Row:
 def hangs_askew(insertion: Insertion) -> bool:
     """Whether a probe was refused for that and is repeated in a new grasp, as the client does."""
     return insertion.state.reason.startswith(REFUSED) and insertion.grasps < GRASPS_N
+
+
+def is_stale(insertion: Insertion) -> bool:
+    """Whether a probe's pictures came too late and it is repeated in a new grasp, as the client does."""
+    decisions = [trial["decision"].get("reason") for trial in insertion.trials]
+    return decisions == [STALE] and insertion.grasps < GRASPS_N
 
 
 def _plain(job: Mapping[str, Any]) -> Row:

@@ -1,11 +1,10 @@
 """The wiring check in lock step: four probes at known errors, before a cell may insert anything."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from robot_client.session.commission.run import GRASPS_N, STALE
 from robot_client.session.commission.wiring import SIDES, WENT_IN, Probe, dangerous_mistakes, mistakes
 from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row
@@ -45,27 +44,6 @@ def probes(world: World, name: str, seed: int, **job: Any) -> list[Row]:
         job_in(world, name, index, start, seed_of(seed, SIGNS, index), purpose="probe", **job)
         for index, start in enumerate(starts)
     ]
-
-
-def with_repeats(
-    play: Callable[[str, list[Row]], list[Row]], number: int, jobs: list[Row]
-) -> tuple[list[Row], list[str]]:
-    """Probes with object ``number``, and the folders that ``play`` kept them in: of its name, one by one.
-
-    As in the client, one whose pictures came too late is repeated in another grasp.
-    """
-    name = f"signs-{number}"
-    rows, folders = play(name, jobs), [f"{name}/{index:05d}" for index in range(len(jobs))]
-    for again in range(1, GRASPS_N):
-        late = [index for index, row in enumerate(rows) if row["trials"] and _ending(row).startswith(STALE)]
-        if not late:
-            break
-        name = f"signs-{number}-again-{again}"
-        repeats = [{**jobs[index], "seed": seed_of(jobs[index]["seed"], SIGNS, again)} for index in late]
-        for place, (index, row) in enumerate(zip(late, play(name, repeats), strict=True)):
-            took_s = rows[index]["robot_s"] + row["robot_s"]
-            rows[index], folders[index] = {**row, "robot_s": took_s}, f"{name}/{place:05d}"
-    return rows, folders
 
 
 def carried_out(rows: Sequence[Row]) -> bool:
@@ -110,16 +88,11 @@ def _sides(rows: Sequence[Row]) -> tuple[Probe, ...]:
     return tuple(_probe(row, *side) for row, side in zip(rows, SIDES, strict=True))
 
 
-def _ending(row: Row) -> str:
-    """What the client is told of a probe without an estimate."""
-    decision = row["trials"][0]["decision"] if row["trials"] else {}
-    return f"{decision['reason']}: {decision['detail']}" if "detail" in decision else WENT_IN
-
-
 def _probe(row: Row, x_mm: float, theta_deg: float) -> Probe:
     """The client's record of a probe that it took for one at this error."""
     decision = row["trials"][0]["decision"] if row["trials"] else {}
     felt, turns = decision.get("estimate") or {}, decision.get("turns_deg")
+    ending = f"{decision['reason']}: {decision['detail']}" if "detail" in decision else WENT_IN
     return Probe(
         x_mm=x_mm,
         theta_deg=theta_deg,
@@ -129,6 +102,6 @@ def _probe(row: Row, x_mm: float, theta_deg: float) -> Probe:
         sigma_theta_deg=felt.get("sigma_theta_deg"),
         turns_deg=turns and (turns[0], turns[1]),
         below_mm=row["trials"][0].get("below_mm") if row["trials"] else None,
-        said="" if felt else _ending(row),
+        said="" if felt else ending,
         insertion_id="simulated",
     )

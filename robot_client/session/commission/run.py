@@ -30,9 +30,9 @@ REACH = (15.0, 15.0)
 FITS = (2.5, 3.0)
 """Approximate errors that insert: no probe begins there."""
 GRASPS_N = 3
-"""Most grasps for a probe: in some the object hangs too far askew to be pressed, or the pictures come too late."""
-STALE = "stale: "
-"""Begins what a probe has said of which pictures came too late: it tells nothing of the cell's wiring or gels."""
+"""Most grasps for a probe: in some the object hangs too far askew to be pressed. As many may be stale."""
+STALE = "stale"
+"""Reason for which a probe whose pictures came too late got no answer: it tells nothing of the wiring or the gels."""
 
 
 class Ended(NamedTuple):
@@ -136,27 +136,27 @@ class Commissioning:
     async def _probe(
         self, title: str, x_mm: float, theta_deg: float, how: Callable[[float, float], Awaitable[Ended]] | None = None
     ) -> Probe:
-        done = self._checked(title, await self._in_new_grasp(partial(how or self.probe, x_mm, theta_deg))).probe
-        felt = done.said
+        for _ in range(GRASPS_N):
+            done = self._checked(title, await self._in_new_grasp(partial(how or self.probe, x_mm, theta_deg))).probe
+            if not (felt := done.said).startswith(STALE):
+                break
+            self.show(f"{title}: nothing is learnt in this grasp: {felt}")
         if done.estimate_x_mm is not None and done.estimate_theta_deg is not None:
             felt = f"felt {done.estimate_x_mm:+.1f} mm, {done.estimate_theta_deg:+.1f} deg"
         self.show(f"{title}: {x_mm:+.1f} mm, {theta_deg:+.1f} deg; {felt}")
         return done
 
     async def _in_new_grasp(self, probe: Callable[[], Awaitable[Ended]]) -> Ended:
-        """Regrasp and probe; once more where the object hangs too far askew in the hand, or the answer is stale.
+        """Regrasp and probe; once more where the object then hangs too far askew in the hand.
 
         Each probe has its own grasp: the object drifts in the hand, and open gels are learnt before a grasp.
         """
         for _ in range(GRASPS_N):
             await self.fetch()
             ended = await probe()
-            if ended.reason.startswith(REFUSED):
-                self.show(f"not pressed in this grasp: {ended.reason}")
-            elif ended.probe.said.startswith(STALE):
-                self.show(f"nothing is learnt in this grasp: {ended.probe.said}")
-            else:
+            if not ended.reason.startswith(REFUSED):
                 break
+            self.show(f"not pressed in this grasp: {ended.reason}")
         return ended
 
     def _checked(self, title: str, ended: Ended) -> Ended:

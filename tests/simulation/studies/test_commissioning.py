@@ -63,36 +63,12 @@ def test_probes_are_drawn_within_what_the_object_may_be_off_and_none_where_it_fi
 )
 def test_the_signs_are_those_of_the_first_object_that_touches_something(tmp_path, monkeypatch, first, second, asked):
     row = {"in": {"reason": "", "trials": []}, "not held": {"reason": "service: refused", "trials": []}}
-    row["touched"] = {"reason": "", "trials": [{"decision": {}}]}
+    row["touched"] = {"reason": "", "trials": [{}]}
     ends = {"signs-1": first, "signs-2": second}
     monkeypatch.setattr(commissioning, "_played", lambda _cell, _plan, name, jobs, **_: [row[ends[name]]] * len(jobs))
     cell = Cell(World(), load_objects(OBJECTS), tmp_path, 1)
-    signs, folders = commissioning._asked_for_signs(cell, Plan(tmp_path, tmp_path, 0, 1))
-    assert (signs, folders) == ([row[ends[asked]]] * 4, [tmp_path / asked / f"{index:05d}" for index in range(4)])
-
-
-@pytest.mark.parametrize(("stale_n", "again_n"), [(0, 0), (1, 1), (2, 2), (3, 2)])
-def test_a_sign_whose_pictures_came_too_late_is_repeated_with_other_noise(tmp_path, monkeypatch, stale_n, again_n):
-    """As the client repeats it, in three grasps at most; the second of four is stale here, ``stale_n`` times."""
-    folders_n, seeds = {}, set()
-
-    def played(_cell, _plan, name, jobs, **_):
-        folders_n[name] = len(jobs)
-        seeds.update(job["seed"] for job in jobs)
-        stale = len(folders_n) <= stale_n
-        late = {"reason": "stale", "detail": "the arm paused in the press"}
-        which = {job["index"]: late if stale and job["index"] == 1 else {"number": job["index"]} for job in jobs}
-        return [{"reason": "", "robot_s": 15.0, "trials": [{"decision": which[job["index"]]}]} for job in jobs]
-
-    monkeypatch.setattr(commissioning, "_played", played)
-    cell = Cell(World(), load_objects(OBJECTS), tmp_path, 1)
-    signs, folders = commissioning._asked_for_signs(cell, Plan(tmp_path, tmp_path, 0, 1))
-    assert folders_n == {"signs-1": 4, **{f"signs-1-again-{n}": 1 for n in range(1, again_n + 1)}}
-    assert len(seeds) == 4 + again_n
-    last = f"signs-1-again-{again_n}/00000" if again_n else "signs-1/00001"
-    assert folders == [tmp_path / name for name in ("signs-1/00000", last, "signs-1/00002", "signs-1/00003")]
-    assert (signs[1]["trials"][0]["decision"] == {"number": 1}) == (stale_n <= again_n)
-    assert sum(row["robot_s"] for row in signs) == 15.0 * (4 + again_n)
+    signs, folder = commissioning._asked_for_signs(cell, Plan(tmp_path, tmp_path, 0, 1))
+    assert (signs, folder) == ([row[ends[asked]]] * 4, tmp_path / asked)
 
 
 def test_the_page_bears_a_run_that_only_asked_for_signs():

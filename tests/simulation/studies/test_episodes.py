@@ -28,3 +28,18 @@ def test_a_probe_whose_object_hangs_askew_is_repeated_in_a_new_grasp_and_only_th
     assert (row["reason"], row["grasps"], row["attempts"]) == ("", 2, 1)
     assert row["robot_s"] > 25.0, "twice to the fixture"
     assert [path.name for path in tmp_path.glob("probe/*.npz")] == ["attempt_01.npz"]
+
+
+def test_a_probe_in_which_the_arm_paused_is_repeated_in_a_new_grasp_and_only_that_is_kept(tmp_path):
+    """Cameras that lose a fifth of their frames: the lease ends in the press."""
+    tables = drawn.draw_worlds(12, 105)[4]
+    tables["gel"]["tier"] = "bristle"
+    tables["camera"] |= {"fps": 16.0, "dropped_share": 0.2}
+    world = drawn.world(tables, "slow cameras")
+    given = with_care(client(), world, "rectangle")
+    job = job_in(world, "rectangle", 0, (8.0, 8.0), 5, client=given, purpose="probe")
+    row = play(Episode(tmp_path / "probe", released_models(), job))
+    assert (row["reason"], row["grasps"], len(row["trials"])) == ("", 2, 1)
+    assert row["trials"][0]["decision"]["reason"] != "stale"
+    assert row["robot_s"] > 25.0, "twice to the fixture"
+    assert [path.name for path in tmp_path.glob("probe/*.npz")] == ["attempt_01.npz"]
