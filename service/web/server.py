@@ -19,6 +19,7 @@ from service.settings import Settings, SettingsError
 from service.web.closing import STREAM
 
 HEAD_TIMEOUT_S = 10.0  # without a complete request
+LEAVE_TIMEOUT_S = 1.0  # from the end of TLS until the client has answered it
 READ_TIMEOUT_S = 20.0  # without any sign of the client reading
 MAX_HEAD_BYTES = 16 << 10
 MAX_MESSAGE_BYTES = 4 << 20
@@ -101,24 +102,33 @@ class Waiting:
 
 
 class Loop(asyncio.SelectorEventLoop):
-    """An event loop that gives TLS handshakes no more time than other requests: each holds 0.3 MB, by default 60 s."""
+    """An event loop that gives TLS handshakes no more time than other requests: each holds 0.3 MB, by default 60 s.
+
+    A client that does not answer the end of TLS is not waited for, by default 30 s: the service may be stopping.
+    """
 
     async def create_server(self, *args: Any, **options: Any) -> asyncio.Server:
         """As the standard one."""
         if options.get("ssl") is not None:
-            options["ssl_handshake_timeout"] = HEAD_TIMEOUT_S
+            options |= {"ssl_handshake_timeout": HEAD_TIMEOUT_S, "ssl_shutdown_timeout": LEAVE_TIMEOUT_S}
         return await super().create_server(*args, **options)
 
 
 class Server(uvicorn.Server):
-    """Waits at its end for answers under way, but not for streams of pictures, which end with their viewers only."""
+    """Waits at its end for answers under way, but not for streams of pictures, which end with their viewers only.
+
+    A WebSocket whose client is just leaving is closed already: uvicorn would close it again, and end with an error.
+    """
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop, as the standard one."""
-        for connection in tuple(self.server_state.connections):
+        connections: tuple[Any, ...] = tuple(self.server_state.connections)
+        for connection in connections:
             cycle = getattr(connection, "cycle", None)
             if cycle is not None and cycle.scope["path"].endswith(STREAM):
                 connection.transport.close()
+            if connection.transport.is_closing():
+                connection.close_sent = True
         await super().shutdown(sockets)
 
 

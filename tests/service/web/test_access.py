@@ -163,6 +163,29 @@ def test_tls_carries_requests_and_an_insertion_and_nothing_goes_in_the_clear(
             assert wire.parse_service(link.recv(20)).type == "hello"
 
 
+def test_a_service_stops_in_order_while_a_client_over_tls_is_leaving(
+    tmp_path: Path, models_folder: Path, certificate: tuple[Path, Path]
+) -> None:
+    """It has said that it closes, and has not yet closed: over TLS that takes a moment longer."""
+    cert, key = certificate
+    trusting = ssl.create_default_context(cafile=str(cert))
+    with (
+        socket.socket() as plain,
+        live_service(tmp_path, models_folder, tls_certificate=cert, tls_key=key, token_drive=DRIVE) as guarded,
+    ):
+        plain.connect(("127.0.0.1", guarded.port))
+        plain.settimeout(20.0)
+        leaving = trusting.wrap_socket(plain, server_hostname="127.0.0.1")
+        asked = f"GET /v1/insertions/ws HTTP/1.1\r\nHost: 127.0.0.1:{guarded.port}\r\nAuthorization: Bearer {DRIVE}\r\n"
+        upgrade = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+        leaving.sendall(f"{asked}{upgrade}Sec-WebSocket-Key: {'A' * 22}==\r\n\r\n".encode())
+        assert leaving.recv(4096).startswith(b"HTTP/1.1 101")
+        leaving.sendall(b"\x88\x82" + bytes(4) + (1000).to_bytes(2, "big"))  # a masked close frame
+        assert leaving.recv(4096)[:1] == b"\x88", "closed in reply"
+        # the service stops here; an exception in its thread fails the test
+    leaving.close()
+
+
 def test_a_tls_connection_that_says_nothing_is_closed_and_the_health_check_speaks_tls(
     tmp_path: Path, models_folder: Path, certificate: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
