@@ -210,7 +210,8 @@ class QuasiStaticCell:
         status = self._pass(target, dt_s, each)
         if status == load_step.STALLED and last < 1.0 and depth == MAX_HALVINGS:
             status = self._pass(target, dt_s, last)
-        drops = status == load_step.STALLED and self._drops()  # lost in a longer part, the solver may have overshot
+        drops = status == load_step.STALLED and self._drops()
+        # LOST counts in the shortest part alone: in a longer one the solver may have overshot
         if status != load_step.SETTLED and not drops and depth < MAX_HALVINGS:
             half_s = None if dt_s is None else 0.5 * dt_s
             for part in (0.5 * (self.pose + target), target):

@@ -28,7 +28,7 @@ def steps_of(x_mm, theta_deg, rng):
 def recorded(root, count, off_mm=0.0, seed=0, *, stated_right=True, work=False):
     """Recordings of probes by a tool that is off by ``off_mm``, or of ``work`` that went in at the next attempt.
 
-    Unless ``told_right``, of something else.
+    Unless ``stated_right``, of something else.
     """
     rng = np.random.default_rng(seed)
     for index in range(count):
