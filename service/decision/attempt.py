@@ -284,11 +284,11 @@ class Attempt:
             fresh = descent.add(pair)
         else:
             index = self.onset_index()
-            if index is None:
+            if index is None or self.onset_ns is None:
                 return []
             pairs = list(self.ring)
             self.decision_pairs += pairs[index:]
-            conditions = self.conditions() | {"speed_mm_s": self.legs.speed_mm_s(self.onset_ns or pair.captured_ns)}
+            conditions = self.conditions() | {"speed_mm_s": self.legs.speed_mm_s(self.onset_ns)}
             self.descent = Descent(card, conditions, self.arm.press_mm, self.legs, self.arm.until_slip)
             fresh = self.descent.begin(pairs, index)
         self.steps += fresh

@@ -115,6 +115,14 @@ def test_after_a_stand_a_step_begins_from_rest():
     assert passes(guard, moved(guard.last, (1, 0, 0), 20.0 * 0.004), 0.004)
 
 
+@given(WAYS, STEPS_S, NEARLY)
+def test_a_step_from_rest_is_the_same_in_every_direction(way, elapsed_s, share):
+    guard = under_way((1, 1, 1), 20.0, 10.0, elapsed_s, FREE)
+    assert passes(guard, guard.last, elapsed_s)
+    guard.limits = Limits(max_acceleration_mm_s2=700.0, max_turn_acceleration_deg_s2=WIDE)
+    assert passes(guard, moved(guard.last, way, share * 700.0 * elapsed_s**2), elapsed_s) == (share <= 1.0)
+
+
 @pytest.mark.parametrize(
     ("values", "beyond"),
     [

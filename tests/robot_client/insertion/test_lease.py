@@ -157,6 +157,12 @@ def test_no_stamp_is_ever_taken_for_younger_than_it_is(offset_s, trips):
         now_s += pause_s
 
 
+@given(st.floats(-1e4, 1e4), st.floats(0.0, 0.2), st.floats(0.0, 1e4))
+def test_a_reading_combined_with_itself_is_that_reading(earliest_s, trip_s, at_s):
+    read = ClockMap(earliest_s, earliest_s + trip_s, at_s)
+    assert read.narrowed(read) == read
+
+
 @pytest.mark.parametrize(("millionths", "holds"), [(100, True), (-100, True), (300, False), (-300, False)])
 def test_two_quartz_clocks_may_drift_apart_by_a_hundred_millionths_and_not_by_three(millionths, holds):
     """Over 1,000 s, both read without any delay."""

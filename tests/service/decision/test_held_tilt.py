@@ -192,6 +192,12 @@ def test_a_tool_that_may_tilt_far_enough_holds_the_object_upright(turn_deg, most
         assert tilt.left_deg == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize(("turn_deg", "straightens"), [(1.45, True), (-1.45, True), (1.55, False), (-1.55, False)])
+def test_no_tool_is_tilted_by_more_than_a_degree_and_a_half_whatever_the_client_allows(turn_deg, straightens):
+    wanted_deg = turned(turn_deg, most_tilt_deg=5.0).straightening()
+    assert wanted_deg == (pytest.approx(-turn_deg) if straightens else None)
+
+
 def test_a_tool_tilted_against_the_turn_is_tilted_back_with_it():
     assert turned(0.1, tilt_deg=-0.7, most_tilt_deg=1.5).straightening() == pytest.approx(-0.1)
     assert "about 0.0 +- 0.5 deg" in turned(0.0, tilt_deg=-0.7).askew(FREE)  # a client that may not tilt, and yet has

@@ -88,6 +88,17 @@ def test_an_attempt_that_only_armed_leaves_what_the_ones_before_it_pressed(
     assert bool(session.open_gels.after(gave_up, session.attempt)) == pressed
 
 
+@pytest.mark.parametrize(("outcome", "cause"), [("inserted", None), ("failed", "part_lost")])
+def test_a_hand_that_let_go_of_its_object_holds_nothing_over(
+    session: InsertionSession, outcome: wire.Ending, cause: wire.Cause | None
+) -> None:
+    arm(session)
+    assert session.attempt is not None
+    session.attempt.descending_ns = 0
+    finished = wire.Finished(insertion_id=ID, outcome=outcome, attempts=2, cause=cause)
+    assert session.open_gels.after(finished, session.attempt) == ""
+
+
 @pytest.mark.parametrize("summary", ["whole", "recovered", "broken"])
 def test_a_service_that_starts_anew_knows_that_the_hand_was_not_opened(
     tmp_path: Path, models_folder: Path, summary: str

@@ -174,6 +174,13 @@ def test_few_or_collinear_markers_are_unknown(count):
         assert np.isfinite(state.score)
 
 
+@pytest.mark.parametrize(("count", "holds"), [(3, False), (4, True)])
+def test_a_reference_has_four_markers_at_least(count, holds):
+    detector = SlipDetector()
+    detector.rearm(few(count)[0])
+    assert detector.armed == holds
+
+
 def test_a_lost_finger_stops_the_arm_after_a_while():
     fields, _ = patch_fields(rigid(), frames=12)
     dark = [replace(f, status="lost", valid=np.zeros_like(f.valid)) for f in fields[2:]]

@@ -31,6 +31,13 @@ def test_one_finger_that_lets_go_is_no_loss():
     assert "lost" not in story([*HELD, *[(None, None)] * 30])
 
 
+@pytest.mark.parametrize(("blind_n", "loses"), [(7, False), (8, True)])
+def test_a_finger_that_is_not_visible_for_eight_frames_has_no_say(blind_n, loses):
+    """It has none from the eighth on; the other one is empty in that frame and the next."""
+    unseen = [(None, 2.0)] * (blind_n - 1)
+    assert ("lost" in story([*HELD, *unseen, *[(None, 0.2)] * 2])) == loses
+
+
 def test_a_touch_that_becomes_weaker_is_no_loss_until_it_is_gone():
     weaker = [(3.0 * share, 2.0 * share) for share in np.linspace(1, 0.55, 20)]
     assert "lost" not in story([*HELD, *weaker])
