@@ -106,17 +106,18 @@ def test_a_step_that_goes_back_aside_or_on_faster_is_not_slowing_down(forwards, 
     assert not passes(guard, target, 0.004)
 
 
-def test_after_a_stand_a_step_begins_from_rest():
-    guard = under_way((1, 0, 0), 20.0, 10.0, 0.004, FREE)
-    assert passes(guard, guard.last, 0.004)
-    guard.limits = Limits(max_acceleration_mm_s2=4900.0, max_turn_acceleration_deg_s2=WIDE)
-    assert not passes(guard, moved(guard.last, (1, 0, 0), 20.0 * 0.004), 0.004), "20 mm/s in 4 ms"
-    guard.limits = Limits(max_acceleration_mm_s2=5100.0, max_turn_acceleration_deg_s2=WIDE)
-    assert passes(guard, moved(guard.last, (1, 0, 0), 20.0 * 0.004), 0.004)
+@given(st.sampled_from(["yaw_deg", "tilt_deg"]), st.sampled_from([-1.0, 1.0]), STEPS_S, NEARLY)
+def test_a_turn_from_rest_is_the_same_in_yaw_and_tilt_and_either_sense(angle, sense, elapsed_s, share):
+    guard = under_way((1, 1, 1), 20.0, 10.0, elapsed_s, FREE)
+    assert passes(guard, guard.last, elapsed_s)
+    guard.limits = Limits(max_acceleration_mm_s2=WIDE, max_turn_acceleration_deg_s2=700.0)
+    turned_deg = getattr(guard.last, angle) + sense * share * 700.0 * elapsed_s**2
+    target = guard.last.model_copy(update={angle: turned_deg})
+    assert passes(guard, target, elapsed_s) == (share <= 1.0)
 
 
 @given(WAYS, STEPS_S, NEARLY)
-def test_a_step_from_rest_is_the_same_in_every_direction(way, elapsed_s, share):
+def test_after_a_stand_a_step_begins_from_rest_in_every_direction(way, elapsed_s, share):
     guard = under_way((1, 1, 1), 20.0, 10.0, elapsed_s, FREE)
     assert passes(guard, guard.last, elapsed_s)
     guard.limits = Limits(max_acceleration_mm_s2=700.0, max_turn_acceleration_deg_s2=WIDE)

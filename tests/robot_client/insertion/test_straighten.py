@@ -48,6 +48,13 @@ def second_arming():
     return state, sent(commands, wire.Arm)[-1]
 
 
+@pytest.mark.parametrize("signs_known", [False, True])
+def test_level_tops_are_told_only_where_the_wiring_check_has_shown_the_signs_of_tilts(signs_known):
+    plan = PLAN.model_copy(update={"signs_known": signs_known, "tops_level_mm": 0.2})
+    (asked,) = sent(run(TO_ARMING, State(plan))[1], wire.Arm)
+    assert asked.tops_level_mm == (0.2 if signs_known else None)
+
+
 def test_a_turned_object_is_straightened_and_the_attempt_keeps_its_number_and_its_place():
     state, asked = second_arming()
     above = state.armed
