@@ -174,7 +174,8 @@ def from_pair(
         raise Refusal("non_finite", f"the magnitude network gave an error of ({dx_mm} mm, {dtheta_deg} deg)")
     sigma = None
     if magnitude.has_sigma:
-        raw_x, raw_theta = np.exp(np.asarray(moments["log_sigma"][0], np.float64))
+        with np.errstate(over="ignore"):  # refused below
+            raw_x, raw_theta = np.exp(np.asarray(moments["log_sigma"][0], np.float64))
         scale = magnitude.calibration
         sigma = (float(raw_x * scale.sigma_scale_x), float(raw_theta * scale.sigma_scale_theta))
         if not np.isfinite(sigma).all() or min(sigma) <= 0:

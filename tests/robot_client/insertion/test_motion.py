@@ -91,6 +91,18 @@ def test_over_a_gap_in_the_stream_the_target_takes_three_cycles_of_way_and_then_
     assert before.z_mm < 32
 
 
+def test_the_time_that_a_gap_cost_a_descent_is_known_once():
+    """Compared with a guide without the gap: so much later it is at the same height."""
+    late, prompt = MotionGuide(Limits(), RAMPS, pose()), MotionGuide(Limits(), RAMPS, pose())
+    for guide, steps_s in ((late, [*[CYCLE_S] * 100, 0.5, *[CYCLE_S] * 150]), (prompt, [CYCLE_S] * 250)):
+        guide.move(pose(z=10.0), "descend", 1e9)
+        for step_s in steps_s:
+            guide.advance(step_s, 0.0)
+    behind_s = (late.target.z_mm - prompt.target.z_mm) / 10.0
+    assert late.take_lost_s() == pytest.approx(0.5 + behind_s, abs=1e-6)
+    assert late.take_lost_s() == prompt.take_lost_s() == 0.0
+
+
 @given(st.lists(st.sampled_from([0, 1, 2, 3, 4, 5, 8, 13, 14, 15, 40, 500]), min_size=5, max_size=60), INSIDE, INSIDE)
 @example([40, 2, 13, 14, 1], pose(z=5.0), pose(z=5.0, yaw=8.0))
 def test_no_rhythm_of_the_stream_makes_a_move_unlawful_or_endless(rhythm_ms, start, end):

@@ -87,6 +87,9 @@ def test_an_arm_beyond_half_a_turn_is_read_within_the_box_and_turns_no_further(d
 def test_a_box_of_more_than_a_turn_is_refused():
     with pytest.raises(ValueError, match="from -190 to 190 is more than a whole turn"):
         Limits(yaw_deg=(-190.0, 190.0))
+    with pytest.raises(ValueError, match="from 10 to 371 is more than a whole turn"):
+        Limits(yaw_deg=(10.0, 371.0))
+    assert Limits(yaw_deg=(135.0, 495.0)).middle_yaw_deg == 315.0
 
 
 EDGE = {"z_mm": [10.0, 80.0], "x_mm": [-20.0, 20.0], "y_mm": [-5.0, 5.0]}

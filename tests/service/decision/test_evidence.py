@@ -92,6 +92,14 @@ def test_two_networks_are_calibrated_by_their_own_cards(temperature: float, scal
     assert evidence.sigma == pytest.approx((1.5 * scale, 6.0))
 
 
+@pytest.mark.parametrize("log_sigma", [-1e3, 1e3, float("nan")])
+def test_a_sigma_of_nothing_or_of_everything_is_refused(log_sigma: float) -> None:
+    cards = [tiny_models.card(role, "step") for role in ("direction", "magnitude")]
+    moments = {"error": np.zeros((1, 2)), "log_sigma": np.array([[0.0, log_sigma]])}
+    with pytest.raises(Refusal, match="the magnitude network gave a sigma"):
+        from_pair(*cards, {"logits": np.zeros((1, 9))}, moments)
+
+
 @pytest.mark.parametrize(("strange", "known"), [(4.0, True), (4.1, False), (float("nan"), False)])
 def test_what_is_stranger_than_the_card_allows_is_refused(strange: float, known: bool) -> None:
     card: Any = SimpleNamespace(pressing=SimpleNamespace(strangeness_limit=4.0))

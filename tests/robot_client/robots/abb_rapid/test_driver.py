@@ -182,6 +182,17 @@ def test_no_move_leaves_the_box():
     asyncio.run(story())
 
 
+def test_an_arm_that_was_closed_takes_no_more_moves():
+    async def story():
+        async with connected() as (peer, arm, _):
+            await arm.close()
+            with pytest.raises(LimitError, match="takes no motion: closed"):
+                arm.move(pose(), "travel")
+            assert peer.moves == []
+
+    asyncio.run(story())
+
+
 def test_what_the_modules_refuse_is_refused_by_their_emulation():
     async def story():
         async with connected() as (peer, _, _):

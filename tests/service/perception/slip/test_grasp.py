@@ -1,6 +1,7 @@
 """The watch takes its own reference: from the present grasp, not from open fingers."""
 
 import numpy as np
+import pytest
 
 from service.perception.slip.grasp import GraspWatch
 from tests.service.perception.synthetic import FRAME_NS, patch_fields, pressed, rigid
@@ -39,6 +40,16 @@ def test_the_reference_is_taken_again_once_the_grasp_has_settled_elsewhere():
     assert taken[1] > 55
     assert watch.detector.reference is fields[taken[1]]
     assert states[-1].state == "hold"
+
+
+@pytest.mark.parametrize(("status", "begins"), [("lost", 9), ("duplicate", 0)])
+def test_rest_is_counted_anew_after_the_markers_were_lost_but_not_after_a_repeated_frame(status, begins):
+    fields, _ = patch_fields(pressed(rigid()), frames=30)
+    object.__setattr__(fields[8], "status", status)
+    watch = GraspWatch()
+    states = [watch.update(field) for field in renumbered(fields)]
+    taken = next(k for k, state in enumerate(states) if state.reason == "reference taken")
+    assert (taken - begins - 1) * FRAME_NS < 0.4e9 <= (taken - begins + 1) * FRAME_NS
 
 
 def test_slip_of_a_held_object_is_announced_without_a_robots_word():
