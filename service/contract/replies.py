@@ -1,11 +1,41 @@
 """Answers that need no session: clocks, heartbeats, and to a client of another protocol; and how an insertion ended."""
 
 from collections.abc import Sized
+from typing import Literal
 
-from service.contract.wire import PROTOCOL, Cause, ClientHeartbeat, ClientHello, Clock, Ending, Fault, ServiceHeartbeat
+from pydantic import BaseModel, ValidationError
+
+from service.contract.wire import (
+    MAX_TEXT_BYTES,
+    PROTOCOL,
+    Cause,
+    ClientHeartbeat,
+    ClientHello,
+    Clock,
+    Ending,
+    Fault,
+    InsertionId,
+    ServiceHeartbeat,
+)
 
 
-def unspoken(hello: ClientHello) -> Fault | None:
+class Greeting(BaseModel):
+    """What a `hello` of any protocol holds; its other fields need not be ours."""
+
+    type: Literal["hello"]
+    insertion_id: InsertionId
+    protocol: int
+
+
+def other_protocol(text: str) -> Fault | None:
+    """Why a client cannot be served whose first message is a `hello` of another protocol; None for anything else."""
+    try:
+        return unspoken(Greeting.model_validate_json(text[:MAX_TEXT_BYTES]))
+    except ValidationError:
+        return None
+
+
+def unspoken(hello: ClientHello | Greeting) -> Fault | None:
     """Why a client of another protocol cannot be served, None if it speaks ours."""
     if hello.protocol == PROTOCOL:
         return None

@@ -3,7 +3,7 @@
 Text frames are JSON objects with a ``type``; binary frames are :func:`service.contract.frames.encode_frame`.
 Every message carries the insertion id and, where it concerns one, the attempt number (1-based). Positions are
 millimetres and degrees in the work-object frame. Stamps (``_ns``) are the service's monotonic clock; only ``sent_ns``
-is the client's, which the service sends back beside its own clock (:class:`Clock`).
+and ``at_ns`` are the client's. The service sends ``sent_ns`` back beside its own clock (:class:`Clock`).
 
 client:  hello -> episode? -> learn_open? -> (arm -> descending -> stopped)*
          abort, heartbeat and telemetry at any time
@@ -81,7 +81,7 @@ MAX_TEXT_BYTES = 65536
 
 
 class ClientHello(_Message):
-    """First message. A client of ``role`` watch receives everything and may send only heartbeats.
+    """First message. A client of ``role`` watch receives all but `Watching` and may send only heartbeats.
 
     ``continues``: the insertion whose object was regrasped, see `Refused`. ``takes_afresh``: the client can regrasp.
     ``most_tilt_deg``: how far it may be asked to `Straighten`, 0 with unchecked signs. ``purpose``: as of `Episode`.

@@ -1,5 +1,6 @@
 """Contents of the recordings folder: finished insertions, and problems with the others."""
 
+import contextlib
 import math
 from collections.abc import Iterator
 from datetime import datetime
@@ -11,10 +12,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from service.contract.frames import first_error
 from service.contract.replies import descended_n
+from service.contract.wire import Finished
 from service.contract.wire_parts import errors_left
 from service.recordings.names import NAME
 from service.recordings.recovery import is_being_written
-from service.recordings.writer import UNREADABLE
+from service.recordings.writer import FINAL, UNREADABLE
 
 
 class Decided(BaseModel):
@@ -110,6 +112,17 @@ def held_over(root: Path) -> str | None:
     if problems or (listed and listed[0]["outcome"] == "interrupted"):
         return None
     return str(listed[0]["held_over"]) if listed else ""
+
+
+def endings(root: Path, most_n: int) -> list[Finished]:
+    """How the ``most_n`` newest insertions ended, oldest first; one that broke off has failed."""
+    known = []
+    for one in reversed(list_recordings(root, most_n)[0]):
+        how = {name: one[name] for name in ("insertion_id", "attempts", "cause", "doubts")}
+        how |= {"outcome": "failed" if one["outcome"] == "interrupted" else one["outcome"]}
+        with contextlib.suppress(ValidationError):  # of another release, whose words need not be ours
+            known.append(Finished.model_validate(how | {"recording": str(root / one["name"] / FINAL)}, strict=False))
+    return known
 
 
 def each_recording(root: Path, problems: list[str]) -> Iterator[dict[str, Any]]:

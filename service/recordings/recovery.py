@@ -108,7 +108,7 @@ def _copy(stream: IO[bytes], out: IO[bytes]) -> dict[str, object] | None:
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, tuple[int, str]] = {}
     facts: dict[str, object] | None = None
-    attempts, task = 0, {}
+    attempts, task = 0, dict[str, object]()
     for record in _records(stream):
         match record:
             case Schema():
@@ -130,7 +130,9 @@ def _copy(stream: IO[bytes], out: IO[bytes]) -> dict[str, object] | None:
                 number = message.get("attempt", 0)
                 attempts = max(attempts, number if isinstance(number, int) else 0)
                 if message.get("type") == "episode":
-                    task = {key: message.get(key) for key in TASK}
+                    task |= {key: message.get(key) for key in TASK}
+                if message.get("continues"):
+                    task["continues"] = message["continues"]
     writer.add_metadata(RECOVERY, {"reason": "the service ended without closing this recording"})
     writer.finish()
     return (

@@ -69,7 +69,7 @@ class InsertionManager:
     held_over: str = ""  # see `OpenGels`
     _decided: Decider | None = None  # of the last insertion: the next one may continue with its object
     _tried_n: int = 0  # attempts with that object so far
-    _ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
+    ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
     _calibration_text: str = field(init=False)
     _gels: dict[Finger, str] = field(init=False)
     charts: Charts = field(init=False)
@@ -111,7 +111,7 @@ class InsertionManager:
         if refused := unspoken(hello):
             send(refused)
             return
-        if ended := self._ended.get(hello.insertion_id):  # the client that drives now is not disturbed
+        if ended := self.ended.get(hello.insertion_id):  # the client that drives now is not disturbed
             send(ended)
             return
         active = self.active
@@ -142,7 +142,7 @@ class InsertionManager:
         """Handle a message of a client; ignored unless ``send`` is the driving connection."""
         if self.active and self.active.send == send:
             self.active.message(message)
-        elif isinstance(message, wire.ClientHeartbeat) and message.insertion_id in self._ended:
+        elif isinstance(message, wire.ClientHeartbeat) and message.insertion_id in self.ended:
             # while its recording is being closed, a client that waits for `finished` must still hear something
             send(beat(message, now_ns(), None))
 
@@ -243,11 +243,11 @@ class InsertionManager:
         insertion, self.active = self.active, None
         if insertion is None:
             return
-        self._ended[finished.insertion_id] = finished
+        self.ended[finished.insertion_id] = finished
         self._decided, self.held_over = insertion.session.decider, insertion.held_over
         self._tried_n = insertion.tried_n + descended_n(finished.cause, finished.attempts, finished.doubts)
-        while len(self._ended) > REMEMBERED_N:
-            self._ended.popitem(last=False)
+        while len(self.ended) > REMEMBERED_N:
+            self.ended.popitem(last=False)
 
         threading.Thread(target=self._keep, args=([insertion], finished), name="close-recording").start()
 

@@ -126,8 +126,8 @@ class InsertionSession:
             if self.decider:
                 self.decider.given_up(attempt)
         elif message.attempt != last + 1 or not decided:
-            state = "decided" if decided else "not decided yet"
-            return [self._fault("protocol", f"arm of attempt {message.attempt}, but attempt {last} is {state}")]
+            why = f"attempt {last} is {'decided' if decided else 'not decided yet'}" if last else "none has begun"
+            return [self._fault("protocol", f"arm of attempt {message.attempt}, expected {last + decided}: {why}")]
         if self.decider is None:
             self.decider = decider_of(message, self.models, self.controller_name, self.limits, self.deadlines)
         if message.attempt == 1:

@@ -24,11 +24,11 @@ from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from service.observability.hub import Hub
 from service.perception.rectification import Calibration
-from service.recordings.listing import held_over
+from service.recordings.listing import endings, held_over
 from service.recordings.recovery import own, recover
 from service.session.factory import make_session
 from service.session.insertion import Insertion, Send
-from service.session.manager import InsertionManager
+from service.session.manager import REMEMBERED_N, InsertionManager
 from service.session.memory import give_back
 from service.session.warm_up import warm_up
 from service.settings import Settings
@@ -126,7 +126,8 @@ class Station:
 
     @property
     def models(self) -> ModelSet:
-        return self.manager.models
+        """The networks that decide the insertion under way, else the next one."""
+        return self.manager.models if self.active else self.versions.active
 
     @property
     def active(self) -> Insertion | None:
@@ -290,6 +291,7 @@ def open_station(settings: Settings) -> Station:
     station.owned = owned
     left = held_over(settings.recordings)
     station.manager.held_over = UNSEEN if left is None else left
+    station.manager.ended.update((one.insertion_id, one) for one in endings(settings.recordings, REMEMBERED_N))
     if settings.shadow:
         station.versions.give(settings.shadow, at_start=True)
     return station

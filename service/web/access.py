@@ -1,9 +1,10 @@
 """Access control: bearer tokens with roles, and the origin of browsers."""
 
 import hmac
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from fastapi import Depends, HTTPException, Request, WebSocket
+from fastapi import Depends, HTTPException, Request, Security, WebSocket
+from fastapi.security import HTTPBearer
 from pydantic import SecretStr
 from starlette.requests import HTTPConnection
 
@@ -13,6 +14,12 @@ from service.settings import Settings
 Role = Literal["watch", "drive", "admin"]
 _RANK: dict[Role, int] = {"watch": 0, "drive": 1, "admin": 2}
 FORBIDDEN_CLOSE = 4403
+TOKEN = HTTPBearer(
+    auto_error=False,
+    scheme_name="token",
+    description="The token's role is watch, drive or admin; each may do what those before it may. "
+    "On the service's own machine watching needs none, unless --token-watch is given.",
+)
 CROSS_SITE, TOP_LEVEL = "cross-site", "navigate"
 
 
@@ -40,9 +47,7 @@ class Access:
 
     def role(self, connection: HTTPConnection) -> Role | None:
         """The highest role of a request's token, or the role that needs none; None for a wrong token."""
-        scheme, _, value = connection.headers.get("authorization", "").partition(" ")
-        offered = value.strip() if scheme.lower() == "bearer" else connection.query_params.get("token", "")
-        if not offered:
+        if not (offered := offered_by(connection)):
             return self._unnamed
         held = [role for role, token in self._tokens if hmac.compare_digest(offered.encode(), token.encode())]
         return max(held, key=_RANK.__getitem__, default=None)
@@ -77,14 +82,22 @@ class Access:
         role = self.role(request)
         if role is None or (role == self._unnamed and _RANK[role] < _RANK[needed]):
             where = "; the service names the token's file at its start" if self.token_file else ""
-            raise HTTPException(401, f"a bearer token is needed{where}", {"WWW-Authenticate": "Bearer"})
+            what = "this token is unknown" if offered_by(request) else "a bearer token is needed"
+            raise HTTPException(401, what + where, {"WWW-Authenticate": "Bearer"})
         if _RANK[role] < _RANK[needed]:
             raise HTTPException(403, f"this token does not give the role {needed}")
 
     def require(self, needed: Role) -> Any:
-        """A FastAPI dependency that refuses with 401 or 403."""
+        """A FastAPI dependency that refuses with 401 or 403; the description of its route names the role."""
+        described = Security(TOKEN, scopes=[needed])
 
-        async def check(request: Request) -> None:  # async, or every request would first wait for a thread
+        async def check(request: Request, _: Annotated[Any, described]) -> None:  # async, or each waits for a thread
             self.check(request, needed)
 
         return Depends(check)
+
+
+def offered_by(connection: HTTPConnection) -> str:
+    """The token that a request carries, "" if none."""
+    scheme, _, value = connection.headers.get("authorization", "").partition(" ")
+    return value.strip() if scheme.lower() == "bearer" else connection.query_params.get("token", "")

@@ -111,7 +111,7 @@ def document(version: str) -> dict[str, Any]:
     summary = "What the page draws: `status` is what GET /v1/status answers, `finger` a picture with its markers."
     page = {"PageEvent": {"name": "page", "contentType": "application/json", "summary": summary, "payload": PAGE}}
     order = " ".join((wire.__doc__ or "").split())
-    pushed = "Frames of one finger, pushed in where its camera is `push:`."
+    pushed = "Frames of one finger, pushed in where its camera is `push:`; numbered and stamped as they arrive."
     shown = "Live frames of one finger, newest wins; query max_hz, form=raw or jpeg."
     return {
         "asyncapi": "3.0.0",

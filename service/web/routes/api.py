@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import Annotated, Any
 
 from fastapi import APIRouter, HTTPException, Query, Request
+from pydantic import BaseModel, ConfigDict, Field
 
 from service import __version__
 from service.contract import FINGERS, ContractError, FramePair, decode_frame, encoded_bytes
@@ -24,9 +25,6 @@ BINARY_BODY = {
         "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
     }
 }
-GapWidth = Annotated[float, Query(gt=0, le=1000, allow_inf_nan=False)]
-GraspHeight = Annotated[float | None, Query(gt=0, le=500, allow_inf_nan=False)]
-Speed = Annotated[float | None, Query(gt=0, le=1000, allow_inf_nan=False)]
 
 
 class Models(Contract):
@@ -40,6 +38,15 @@ class Insertions(Contract):
 
     active: str | None
     count: int
+
+
+class Conditions(BaseModel):
+    """What is known of the attempt, as in `arm` and `descending`; a misspelt name must not go unnoticed."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    gap_width_mm: float = Field(default=56.0, gt=0, le=1000)
+    grasp_height_mm: float | None = Field(default=None, gt=0, le=500)
+    speed_mm_s: float | None = Field(default=None, gt=0, le=1000)
 
 
 class Decided(Contract):
@@ -70,12 +77,7 @@ def router(station: Station, access: Access) -> APIRouter:
         return Insertions(active=active.session.insertion_id if active else None, count=station.manager.opened_n)
 
     @routes.post("/decisions", dependencies=drive, openapi_extra=BINARY_BODY)
-    async def decisions(
-        request: Request,
-        gap_width_mm: GapWidth = 56.0,
-        grasp_height_mm: GraspHeight = None,
-        speed_mm_s: Speed = None,
-    ) -> Decided:
+    async def decisions(request: Request, conditions: Annotated[Conditions, Query()]) -> Decided:
         """Body: rectified frames as binary messages (left, right, left, right, ...), from rest to the stop.
 
         Networks that read depth need the speed of the descent. Not while an insertion is under way.
@@ -84,9 +86,8 @@ def router(station: Station, access: Access) -> APIRouter:
             raise HTTPException(409, "busy: an insertion is under way, or another sequence is being decided")
         async with whole_body(request, MAX_BODY_BYTES) as body:
             pairs = _pairs(body, station)
-        conditions = {"grasp_height_mm": grasp_height_mm, "speed_mm_s": speed_mm_s}
         async with deciding:
-            answer = await asyncio.to_thread(partial(decide, station.models, pairs, gap_width_mm, **conditions))
+            answer = await asyncio.to_thread(partial(decide, station.models, pairs, **conditions.model_dump()))
         return Decided.model_validate(answer.model_dump(include=set(Decided.model_fields)))
 
     return routes

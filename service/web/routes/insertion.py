@@ -9,7 +9,7 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from service.cameras.capture import now_ns
 from service.contract import ContractError, wire
-from service.contract.replies import beat
+from service.contract.replies import beat, clock, other_protocol
 from service.contract.wire import ServiceMessage
 from service.observability.hub import Hub
 from service.session.station import Station
@@ -125,7 +125,11 @@ def router(station: Station, access: Access) -> APIRouter:
 async def _serve(socket: WebSocket, connection: Connection, station: Station, access: Access) -> Ending:
     """Read messages until the client leaves; anything else is answered by a fault."""
     try:
-        hello = wire.parse_client(await asyncio.wait_for(_text(socket), HELLO_TIMEOUT_S))
+        text = await asyncio.wait_for(_text(socket), HELLO_TIMEOUT_S)
+        if refused := other_protocol(text):
+            connection.send(refused)
+            return await until_gone(socket)
+        hello = wire.parse_client(text)
         if not isinstance(hello, wire.ClientHello):
             raise ContractError(f"first message is {hello.type}, expected hello")
     except (ContractError, TimeoutError) as error:
@@ -134,7 +138,7 @@ async def _serve(socket: WebSocket, connection: Connection, station: Station, ac
     connection.insertion_id = hello.insertion_id
     log.info("client", insertion=hello.insertion_id, client=hello.client, role=hello.role)
     if hello.role == "watch":
-        return await _watch(socket, connection, station)
+        return await _watch(socket, connection, station, hello)
     if not access.allows(socket, "drive"):
         connection.fault("forbidden", "without the token for driving a client may only watch", fatal=True)
         return await until_gone(socket)
@@ -152,12 +156,13 @@ async def _drive(socket: WebSocket, connection: Connection, station: Station, he
         station.receive(message, connection.send)
 
 
-async def _watch(socket: WebSocket, connection: Connection, station: Station) -> Ending:
+async def _watch(socket: WebSocket, connection: Connection, station: Station, hello: wire.ClientHello) -> Ending:
     """Send every message of the driving client; only heartbeats are answered."""
     name = connection.insertion_id
     connection.send(
         wire.ServiceHello(
             insertion_id=name,
+            clock=clock(hello, now_ns()),
             models=station.models.entries,
             cameras=station.camera_entries(),
             controller=station.settings.controller,

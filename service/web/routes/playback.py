@@ -43,7 +43,7 @@ def router(station: Station, access: Access) -> APIRouter:
         """What a finger felt at a moment: its picture, its markers, which of them slip."""
         return await reading(moment, file_of(name), finger, at_ns)
 
-    @routes.post("/decide")
+    @routes.post("/decide", responses={504: {"description": f"not decided within {AGAIN_S:g} s"}})
     async def decide_again(name: str) -> dict[str, Any]:
         """Decide the whole insertion again, in a process of its own, with the networks that decided it.
 

@@ -72,8 +72,10 @@ def test_cards_calibration_and_configuration_lie_inside_and_no_token_does(live: 
     assert live.token.encode() not in b"".join(attached.values())
 
 
-def test_a_probe_that_a_crash_ended_is_still_a_probe(tmp_path: Path) -> None:
+def test_a_probe_that_a_crash_ended_is_still_a_probe_of_its_object(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path, "crashed", {})
+    hello = wire.ClientHello(insertion_id="crashed", client="test", continues="before")
+    recorder.message("client", hello.model_dump(mode="json"), 0)
     pose = wire.ToolPose(x_mm=8.0, y_mm=0.0, z_mm=35.0, yaw_deg=6.0)
     episode = wire.Episode(insertion_id="crashed", purpose="probe", object="box", start=pose, approach=pose)
     recorder.message("client", episode.model_dump(mode="json"), 1)
@@ -83,6 +85,7 @@ def test_a_probe_that_a_crash_ended_is_still_a_probe(tmp_path: Path) -> None:
     recover(tmp_path)
     summary = json.loads((path.parent / "summary.json").read_text())
     assert (summary["purpose"], summary["object"], summary["outcome"]) == ("probe", "box", "interrupted")
+    assert summary["continues"] == "before"
 
 
 def test_what_a_crash_left_keeps_its_attachments(tmp_path: Path) -> None:

@@ -64,14 +64,16 @@ def test_a_message_before_the_greeting_is_answered_by_its_own_name_and_a_strange
     assert session.takes_afresh
 
 
-def test_who_arms_too_early_is_told_how_the_attempt_before_stands(session: InsertionSession) -> None:
+def test_who_arms_too_early_is_told_which_attempt_is_expected_and_why(session: InsertionSession) -> None:
+    (fault,) = session.handle(arm(2), 0)
+    assert fault.detail == "arm of attempt 2, expected 1: none has begun"
     armed(session)
     (fault,) = session.handle(arm(2), 0)
-    assert fault.detail == "arm of attempt 2, but attempt 1 is not decided yet"
+    assert fault.detail == "arm of attempt 2, expected 1: attempt 1 is not decided yet"
     session.on_camera_fault("camera_lost", "left is gone")
     session.handle(stopped(), 0)
     (fault,) = session.handle(arm(3), 0)
-    assert fault.detail == "arm of attempt 3, but attempt 1 is decided"
+    assert fault.detail == "arm of attempt 3, expected 2: attempt 1 is decided"
 
 
 @pytest.mark.parametrize(
@@ -123,7 +125,7 @@ def test_a_client_that_may_tilt_its_tool_is_asked_to_and_arms_the_same_attempt_a
     (fault,) = session.handle(wire.Descending(insertion_id=ID, attempt=2, speed_mm_s=5.0), 60 * S)
     assert "not armed" in fault.detail
     (fault,) = session.handle(arm(3), 60 * S)
-    assert fault.detail == "arm of attempt 3, but attempt 2 is not decided yet"
+    assert fault.detail == "arm of attempt 3, expected 2: attempt 2 is not decided yet"
     session.handle(arm(2, tilt_deg=asked.tilt_deg), 61 * S)
     (answer,) = session.on_pair(drawn.pair(3, start_ns=61 * S), 61 * S)
     assert (answer.type, answer.attempt) == ("armed", 2)

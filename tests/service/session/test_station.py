@@ -236,7 +236,7 @@ def test_other_networks_are_taken_between_insertions_and_for_the_same_pictures_o
     monkeypatch.setattr(idle.manager, "active", None)
     idle._swap(fresh)
     assert begun == [fresh]
-    assert idle.models is fresh
+    assert idle.manager.models is fresh
 
 
 @pytest.mark.parametrize("shadow", [False, True])

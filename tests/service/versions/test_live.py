@@ -68,6 +68,11 @@ def hashes(folder: Path) -> list[str]:
     return [entry.sha256 for entry in load_models(folder).entries]
 
 
+def serving(cell: LiveService) -> list[str]:
+    """The networks that a request is answered by."""
+    return [entry["sha256"] for entry in httpx.get(cell.url("/v1/models")).json()["models"]]
+
+
 def until(what, timeout_s: float = 30.0) -> None:
     deadline = time.monotonic() + timeout_s
     while not what():
@@ -168,9 +173,11 @@ def test_a_person_changes_versions_between_insertions_and_never_in_one(
     driver = Driver(cell, "under-way")
     assert [entry.sha256 for entry in driver.until("hello").models] == hashes(models)
     assert main(["versions", "promote", *there]) == 0
-    assert [entry.sha256 for entry in cell.station.active.session.models.entries] == hashes(models)
+    assert [entry.sha256 for entry in cell.station.active.session.models.entries] == serving(cell) == hashes(models)
     assert driver.insert(1).outcome == "inserted"
     driver.close()
+    until(lambda: cell.station.active is None)
+    assert serving(cell) == hashes(shadow), "what is asked about recorded frames is asked of those that decide next"
     assert insert(cell, "next")[0] == hashes(shadow)
     assert main(["versions", "rollback", *there]) == 0
     assert insert(cell, "last")[0] == hashes(models)

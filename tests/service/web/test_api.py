@@ -74,8 +74,8 @@ def sequence(first: int, last: int, period_ns: int = drawn.PERIOD_NS) -> bytes:
 
 
 def test_a_recorded_sequence_is_decided_over_http_as_an_insertion_decides_it(live: LiveService) -> None:
-    def post(body: bytes) -> httpx.Response:
-        return httpx.post(live.url("/v1/decisions"), content=body, headers=live.bearer)
+    def post(body: bytes, **params: float) -> httpx.Response:
+        return httpx.post(live.url("/v1/decisions"), content=body, headers=live.bearer, params=params)
 
     answer = post(sequence(2, 22))
     assert answer.status_code == 200
@@ -93,6 +93,8 @@ def test_a_recorded_sequence_is_decided_over_http_as_an_insertion_decides_it(liv
         refused = post(body)
         assert refused.status_code == 400
         assert words in refused.json()["error"]
+    misspelt = post(sequence(2, 22), gap_width=80.0)
+    assert (misspelt.status_code, "query.gap_width: " in misspelt.json()["error"]) == (422, True)
 
 
 def test_models_and_cameras_are_told(live: LiveService) -> None:
@@ -131,6 +133,25 @@ def test_every_answer_in_json_has_a_schema_but_what_is_made_for_the_page(live: L
     }
     pages_own = {"/v1/status", *(f"/v1/recordings/{{name}}/{what}" for what in ("timeline", "decide"))}
     assert open_ones == {"/v1/asyncapi.json", "/v1/recordings/{name}/moments/{finger}/{at_ns}", *pages_own}
+
+
+def test_the_description_names_the_role_that_each_route_asks_for(live: LiveService) -> None:
+    described = httpx.get(live.url("/openapi.json")).json()
+    assert described["components"]["securitySchemes"]["token"].items() >= {"type": "http", "scheme": "bearer"}.items()
+    roles = {
+        f"{method} {path}": [role for one in operation.get("security", ()) for role in one["token"]]
+        for path, operations in described["paths"].items()
+        for method, operation in operations.items()
+    }
+    assert roles["get /healthz"] == roles["get /metrics"] == []
+    assert roles["get /v1/status"] == ["watch"]
+    assert roles["post /v1/decisions"] == ["drive"]
+    assert roles["delete /v1/recordings/{name}"] == ["admin"]
+    for name, role in roles.items():
+        method, path = name.split()
+        url = live.url(path.replace("{finger}", "left").replace("{number}", "1").replace("{at_ns}", "0"))
+        code = httpx.request(method, url, headers={"Authorization": "Bearer wrong"}).status_code
+        assert (code == 401) == bool(role), name
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "http://[", "null", ""])

@@ -1,6 +1,7 @@
 """However a conversation ends, the client gets the reason, and no client can block on unread data."""
 
 import contextlib
+import json
 import socket
 import time
 from pathlib import Path
@@ -44,6 +45,8 @@ def test_every_end_of_a_driving_connection_has_a_reason_and_a_line_in_the_log(li
             first_words(live, b"bytes"),
             first_words(live, wire.ClientHeartbeat(insertion_id="h", count=1).model_dump_json()),
             first_words(live, wire.ClientHello(insertion_id="old", client="x", protocol=99).model_dump_json()),
+            first_words(live, '{"type": "hello", "insertion_id": "new", "protocol": 3, "asks": "what this cannot"}'),
+            first_words(live, '{"type": "hello", "insertion_id": "new", "protocol": 3, "role": "watch"}'),
             first_words(live, wire.ClientHello(insertion_id="ends", client="again").model_dump_json()),
         ]
     expected = [
@@ -53,6 +56,8 @@ def test_every_end_of_a_driving_connection_has_a_reason_and_a_line_in_the_log(li
         (1008, "bad_message: binary frame"),
         (1008, "bad_message: first message is heartbeat, expected hello"),
         (1008, "protocol_version: client speaks protocol 99"),
+        (1008, "protocol_version: client speaks protocol 3, this service 2"),
+        (1008, "protocol_version: client speaks protocol 3, this service 2"),
         (1000, "insertion inserted"),
     ]
     for (code, reason), (closed_with, because) in zip(expected, ends, strict=True):
@@ -67,6 +72,28 @@ def test_a_service_that_stops_says_so_by_the_code(tmp_path: Path, models_folder:
         driver = Driver(stopping, "left-alone")
         driver.until("hello")
     assert goodbye(driver.socket)[0] == 1012
+
+
+def test_who_asks_again_after_a_restart_is_told_how_the_insertion_ended(tmp_path: Path, models_folder: Path) -> None:
+    """It cannot know that the service was restarted, and must not go on with what a new one knows nothing of."""
+    with live_service(tmp_path, models_folder) as first:
+        driver = Driver(first, "whole")
+        finished = driver.insert(1)
+        driver.close()
+        driver = Driver(first, "broken-off")
+        driver.until("hello")
+    summary = next(tmp_path.glob("recordings/*_broken-off/summary.json"))
+    summary.write_text(
+        json.dumps({"insertion_id": "broken-off", "outcome": "interrupted", "attempts": 2, "cause": "service"})
+    )
+    next(tmp_path.glob("recordings/*_whole")).with_name("20260101T000000_odd").mkdir()
+    odd = {"insertion_id": "odd", "outcome": "as another release says", "attempts": 1}
+    (tmp_path / "recordings" / "20260101T000000_odd" / "summary.json").write_text(json.dumps(odd))
+    with live_service(tmp_path, models_folder) as restarted:
+        assert Driver(restarted, "whole").receive() == finished
+        broken = Driver(restarted, "broken-off").receive()
+        assert (broken.type, broken.outcome, broken.cause, broken.attempts) == ("finished", "failed", "service", 2)
+        assert restarted.station.active is None
 
 
 def test_a_client_of_another_protocol_opens_no_insertion(live: LiveService) -> None:

@@ -78,8 +78,8 @@ def test_only_one_client_drives_and_others_watch(live: LiveService) -> None:
         second = Driver(live, "second")
         fault = second.receive()
         assert (fault.type, fault.code, fault.fatal) == ("fault", "busy", True)
-        watcher = Driver(live, "watcher", role="watch")
-        assert watcher.receive().type == "hello"
+        watcher = Driver(live, "watcher", role="watch", sent_ns=7)
+        assert watcher.receive().clock.sent_ns == 7
         watcher.send(wire.Descending(insertion_id="watcher", attempt=1))
         assert watcher.receive().code == "watch_only"
         driver.attempt(1)

@@ -58,7 +58,8 @@ def test_without_the_token_this_machine_may_watch_and_nothing_else(live: LiveSer
         refused = wire.parse_service(link.recv(20))
         assert (refused.code, refused.fatal) == ("forbidden", True)
     assert live.station.active is None
-    assert httpx.get(live.url("/v1/models"), headers={"Authorization": "Bearer wrong"}).status_code == 401
+    wrong = httpx.get(live.url("/v1/models"), headers={"Authorization": "Bearer wrong"})
+    assert (wrong.status_code, "this token is unknown" in wrong.json()["error"]) == (401, True)
 
 
 def test_the_generated_token_drives_and_administers(live: LiveService) -> None:
