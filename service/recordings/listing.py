@@ -20,7 +20,10 @@ from service.recordings.writer import FINAL, UNREADABLE
 
 
 class Decided(BaseModel):
-    """One decided attempt. ``reach_pitch``: how far the gels were sheared when it stopped, in marker pitches."""
+    """One decided attempt. ``reach_pitch``: how far the gels were sheared when it stopped, in marker pitches.
+
+    ``correction``: mm across the gap and degrees, as in `Correction`.
+    """
 
     model_config = ConfigDict(extra="allow")
     attempt: int

@@ -1,4 +1,4 @@
-"""The Open Inference Protocol's request as a JSON schema, for the OpenAPI description: what is read, and no more."""
+"""The Open Inference Protocol's request and answer as JSON schemas, for the OpenAPI description."""
 
 from typing import Any
 
@@ -27,6 +27,21 @@ _REQUEST = _object(
     inputs={"type": "array", "items": _INPUT},
     outputs={"type": "array", "items": _OUTPUT},
 )
+_RESULT = _object(
+    ["name", "datatype", "shape"],
+    name=_NAME,
+    datatype={"enum": list(DATATYPES)},
+    shape={"type": "array", "items": {"type": "integer", "minimum": 0}},
+    parameters=_object(["binary_data_size"], binary_data_size={"type": "integer", "minimum": 0}),
+    data={"type": "array"},
+)
+_ANSWER = _object(
+    ["model_name", "model_version", "outputs"],
+    model_name=_NAME,
+    model_version=_NAME,
+    id={"type": "string"},
+    outputs={"type": "array", "items": _RESULT},
+)
 _BINARY = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
 _LENGTH = {
     "name": "Inference-Header-Content-Length",
@@ -36,6 +51,6 @@ _LENGTH = {
 INFERENCE: dict[str, Any] = {
     "parameters": [_LENGTH | {"schema": {"type": "integer", "minimum": 0}}],
     "requestBody": {"required": True, "content": {"application/json": {"schema": _REQUEST}} | _BINARY},
-    "responses": {"200": {"content": _BINARY}},
+    "responses": {"200": {"content": {"application/json": {"schema": _ANSWER}} | _BINARY}},
 }
 """What of an inference the code does not tell by itself; ``infer`` answers in JSON unless binary tensors follow it."""

@@ -49,7 +49,7 @@ class Conditions(BaseModel):
     speed_mm_s: float | None = Field(default=None, gt=0, le=1000)
 
 
-class Decided(Contract):
+class Estimated(Contract):
     """What the networks say of a recorded sequence: an estimate of the error, and no command."""
 
     class_probabilities: dict[str, float]
@@ -77,7 +77,7 @@ def router(station: Station, access: Access) -> APIRouter:
         return Insertions(active=active.session.insertion_id if active else None, count=station.manager.opened_n)
 
     @routes.post("/decisions", dependencies=drive, openapi_extra=BINARY_BODY)
-    async def decisions(request: Request, conditions: Annotated[Conditions, Query()]) -> Decided:
+    async def decisions(request: Request, conditions: Annotated[Conditions, Query()]) -> Estimated:
         """Body: rectified frames as binary messages (left, right, left, right, ...), from rest to the stop.
 
         Networks that read depth need the speed of the descent. Not while an insertion is under way.
@@ -88,7 +88,7 @@ def router(station: Station, access: Access) -> APIRouter:
             pairs = _pairs(body, station)
         async with deciding:
             answer = await asyncio.to_thread(partial(decide, station.models, pairs, **conditions.model_dump()))
-        return Decided.model_validate(answer.model_dump(include=set(Decided.model_fields)))
+        return Estimated.model_validate(answer.model_dump(include=set(Estimated.model_fields)))
 
     return routes
 

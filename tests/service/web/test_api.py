@@ -132,6 +132,7 @@ def test_every_answer_in_json_has_a_schema_but_what_is_made_for_the_page(live: L
         if content["schema"].get("additionalProperties", True) is True and content["schema"].get("type") == "object"
     }
     pages_own = {"/v1/status", *(f"/v1/recordings/{{name}}/{what}" for what in ("timeline", "decide"))}
+    assert not [name for name in described["components"]["schemas"] if "__" in name], "two classes of one name"
     assert open_ones == {"/v1/asyncapi.json", "/v1/recordings/{name}/moments/{finger}/{at_ns}", *pages_own}
 
 

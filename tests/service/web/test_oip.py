@@ -3,6 +3,7 @@ import json
 from typing import Any
 
 import httpx
+import jsonschema_rs
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -93,6 +94,16 @@ def test_all_outputs_come_when_none_is_asked_for_and_one_may_be_binary_beside_on
     answer = client.infer(MODEL, inputs(binary=False), outputs=mixed, model_version="1")
     for name in ("logits", "next_state"):
         np.testing.assert_allclose(answer.as_numpy(name), wanted[name], rtol=1e-6)
+
+
+def test_an_answer_in_json_is_as_described(live: LiveService) -> None:
+    tensors = [{"name": i.name(), "shape": i.shape(), "datatype": i.datatype()} for i in inputs(binary=False)]
+    for tensor in tensors:
+        tensor["data"] = np.ones(tensor["shape"], int).ravel().tolist()
+    answer = httpx.post(live.url(f"/v2/models/{MODEL}/infer"), json={"inputs": tensors}, headers=live.bearer)
+    described = httpx.get(live.url("/openapi.json")).json()["paths"]["/v2/models/{name}/infer"]["post"]["responses"]
+    schema = described["200"]["content"]["application/json"]["schema"]
+    jsonschema_rs.validator_for(schema).validate(answer.json())
 
 
 def test_statistics_count_successes_and_failures(live: LiveService, client) -> None:
