@@ -1,4 +1,4 @@
-"""The service's WebSockets as an AsyncAPI 3 document, generated from the message models and nothing else."""
+"""The service's WebSockets as an AsyncAPI 3 document, generated from the message models."""
 
 from functools import lru_cache
 from typing import Any, get_args
@@ -7,6 +7,7 @@ from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 from service.contract import FINGERS, wire
+from service.web.access import TOKEN
 
 BINARY = "application/octet-stream"
 FINGER = {"finger": {"description": "which finger", "enum": list(FINGERS)}}
@@ -14,6 +15,12 @@ PAGE = {
     "type": "object",
     "required": ["kind", "content"],
     "properties": {"kind": {"enum": ["status", "finger"]}, "content": {"type": "object"}},
+}
+SERVER = {
+    "host": "127.0.0.1:8000",
+    "protocol": "ws",
+    "description": "wss where TLS is set up",
+    "security": [TOKEN.model.model_dump(mode="json", by_alias=True, exclude_none=True)],
 }
 FRAME_LAYOUT = (
     "Little-endian header: magic `TIF1`, u8 finger (0 left, 1 right), u8 channels (3), u16 height, u16 width,"
@@ -117,7 +124,7 @@ def document(version: str) -> dict[str, Any]:
         "asyncapi": "3.0.0",
         "info": {"title": "tactile-insertion", "version": version, "description": order},
         "defaultContentType": "application/json",
-        "servers": {"cell": {"host": "127.0.0.1:8000", "protocol": "ws", "description": "wss where TLS is set up"}},
+        "servers": {"cell": SERVER},
         "channels": {
             "insertion": _channel("/v1/insertion", "One connection is one insertion.", [*client, *service]),
             "page": _channel("/v1/live", summary, ["PageEvent"]),

@@ -82,5 +82,7 @@ def test_every_websocket_has_its_channel(live: LiveService, monkeypatch: pytest.
     assert {channel["address"] for channel in DOCUMENT["channels"].values()} == paths - same
 
 
-def test_the_service_serves_it(live: LiveService) -> None:
+def test_the_service_serves_it_and_asks_for_the_same_token_as_over_http(live: LiveService) -> None:
     assert httpx.get(live.url("/v1/asyncapi.json")).json() == DOCUMENT
+    schemes = httpx.get(live.url("/openapi.json")).json()["components"]["securitySchemes"]
+    assert DOCUMENT["servers"]["cell"]["security"] == [schemes["token"]]
