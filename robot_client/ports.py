@@ -26,7 +26,7 @@ class DeviceSettings(Contract):
     """The table of a device in the configuration; ``device`` names its line in :mod:`robot_client.devices`.
 
     ``variables``: environment variables that replace keys of the table, each with the path to its key. ``pauses``, of
-    an arm: its driver can let a descent stop and go on (:meth:`Arm.move`).
+    an arm: its driver can let a descent stop and go on (:meth:`Arm.move`). ``hosts``: those that it is reached at.
     """
 
     variables: ClassVar[dict[str, tuple[str, ...]]] = {}
@@ -37,6 +37,10 @@ class DeviceSettings(Contract):
     def address(self) -> str:
         """The address of the device, for display."""
         return self.device
+
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        return ()
 
 
 class Finding(NamedTuple):

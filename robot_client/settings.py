@@ -22,6 +22,7 @@ from robot_client.session.service_link import ServiceSettings
 from robot_client.session.travel import Errands
 from service.contract.frames import Contract, ContractError
 from service.contract.refusals import describe, nearest
+from service.contract.token import is_loopback
 from service.contract.toml import read_toml
 
 REGISTRIES = {"robot": ROBOTS, "gripper": GRIPPERS}
@@ -119,7 +120,21 @@ def load_settings(path: Path | None, overrides: dict[str, Any] | None = None) ->
         if ours and name not in known:
             raise SettingsError(f"environment: {name} is not used{nearest(upper, known)}")
     names = {key: {"device": device.device} for key, device in chosen.items()}
-    return _table(Settings, {**data, **names}, source).model_copy(update=chosen)
+    settings = _table(Settings, {**data, **names}, source)
+    if settings.simulated:
+        _check_simulated(chosen, source)
+    return settings.model_copy(update=chosen)
+
+
+def _check_simulated(chosen: dict[str, DeviceSettings], source: str) -> None:
+    """Raise SettingsError for a device elsewhere: a real arm would move without a commissioning and a warning."""
+    for key, device in chosen.items():
+        for host in device.hosts:
+            if not is_loopback(host):
+                raise SettingsError(
+                    f"{source}: simulated = true, but the {key} is at {host}: a simulated cell is on this machine;"
+                    " remove the line for a real one"
+                )
 
 
 def _merged(data: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:

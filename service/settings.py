@@ -1,7 +1,6 @@
 """The service's settings: command line over environment (``TACTILE_*``) over a TOML file (``--config``)."""
 
 import argparse
-import ipaddress
 import json
 import os
 import re
@@ -11,7 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self, get_args
 
-from pydantic import BeforeValidator, Field, SecretStr, ValidationError, field_validator, model_validator
+from pydantic import (
+    BeforeValidator,
+    Field,
+    SecretStr,
+    ValidationError,
+    field_serializer,
+    field_validator,
+    model_validator,
+)
 from pydantic_settings import (
     BaseSettings,
     CliApp,
@@ -26,7 +33,8 @@ from pydantic_settings import SettingsError as CliError
 from service.contract import ContractError
 from service.contract.refusals import nearest
 from service.contract.shipped import released_models
-from service.contract.token import check_token, state_folder
+from service.contract.text import without_secrets
+from service.contract.token import check_token, is_loopback, state_folder
 from service.contract.toml import read_toml
 from service.contract.wire import ControllerName, Limits
 
@@ -123,6 +131,10 @@ class Settings(BaseSettings):
     requests_per_s: float = Field(1000.0, ge=0, description="most requests a second of one address; 0 for any number")
     log_json: bool = Field(False, description="one JSON object a log line")
 
+    @field_serializer("camera_left", "camera_right")
+    def _shown(self, camera: str) -> str:
+        return without_secrets(camera)  # recordings hold the settings
+
     @field_validator("token_drive", "token_watch", "token_admin")
     @classmethod
     def _secret(cls, token: SecretStr | None) -> SecretStr | None:
@@ -181,10 +193,7 @@ class Settings(BaseSettings):
 
     @property
     def is_loopback(self) -> bool:
-        try:
-            return ipaddress.ip_address(self.host).is_loopback
-        except ValueError:
-            return self.host == "localhost"
+        return is_loopback(self.host)
 
     @property
     def deadlines(self) -> Deadlines:

@@ -124,7 +124,7 @@ def straighten(state: State, tilt_deg: float, at_s: float) -> Result:
     """Tilt the tool in the air, once in an attempt, to hold a turned object upright; then arm again."""
     assert state.armed is not None
     try:
-        check_straightening(state.plan.limits, tilt_deg)
+        check_straightening(state.plan.most_tilt_deg, tilt_deg)
     except LimitError as error:
         return fail(state, "limits", "straighten", str(error))
     if state.straightened == state.attempt:

@@ -99,10 +99,10 @@ def check_correction(limits: Limits, attempt: int, dx_mm: float, dtheta_deg: flo
             raise LimitError(f"{name} = {value:.3f}, allowed up to {bound:g}")
 
 
-def check_straightening(limits: Limits, tilt_deg: float) -> None:
+def check_straightening(most_tilt_deg: float, tilt_deg: float) -> None:
     """Raise LimitError unless the service may ask for this tilt."""
-    if not abs(tilt_deg) <= limits.max_straighten_deg:
-        raise LimitError(f"tilt_deg = {tilt_deg:.3f}, allowed up to {limits.max_straighten_deg:g} either way")
+    if not abs(tilt_deg) <= most_tilt_deg:
+        raise LimitError(f"tilt_deg = {tilt_deg:.3f}, allowed up to {most_tilt_deg:g} either way")
 
 
 def _slows_down(new: tuple[float, ...], old: tuple[float, ...]) -> bool:

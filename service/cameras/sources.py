@@ -17,6 +17,7 @@ from service.cameras.capture import STALL_S, CameraError, Capture, Source, now_n
 from service.cameras.recorded import RecordingSource
 from service.contract import TactileFrame
 from service.contract.refusals import nearest
+from service.contract.text import without_secrets
 
 CONNECT_TIMEOUT_S = 0.6  # with the pause between tries, a returned camera is noticed within 1 s
 READ_TIMEOUT_S = 1.0
@@ -39,7 +40,7 @@ class MjpegSource:
     """
 
     def __init__(self, url: str) -> None:
-        self.name = url
+        self.name = without_secrets(url)
         self._parts = urlsplit(url)
 
     def frames(self, stop: threading.Event) -> Iterator[Capture]:

@@ -1,4 +1,4 @@
-"""Text for a terminal: escaping of foreign text, wrapped lines, and a reader who has left."""
+"""Text for others: escaping of foreign text, addresses without passwords, wrapped lines, a reader who has left."""
 
 import os
 import re
@@ -6,6 +6,7 @@ import select
 import sys
 import textwrap
 from collections.abc import Callable
+from urllib.parse import urlsplit
 
 WIDTH = 80
 
@@ -13,6 +14,14 @@ WIDTH = 80
 def printable(line: str) -> str:
     r"""The same line with everything that a terminal would obey written out: ``\x1b``, ``\n``, ``\u202e``."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape", "replace").decode() for c in line)
+
+
+def without_secrets(url: str) -> str:
+    """An http address as everybody may read it: without user, password and query; any other text as it is."""
+    if not url.startswith(("http://", "https://")):
+        return url
+    parts = urlsplit(url)
+    return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}{'?...' if parts.query else ''}"
 
 
 def fitted(line: str, indent: int | None = None, width: int = WIDTH) -> str:

@@ -27,7 +27,11 @@ def state_folder() -> Path:
 
 def is_here(url: str) -> bool:
     """Whether a URL leads to this machine: its token must not go elsewhere."""
-    host = urlsplit(url).hostname or ""
+    return is_loopback(urlsplit(url).hostname or "")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is this machine, by its name or its address."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -259,3 +259,21 @@ def test_a_device_is_imported_only_when_it_is_chosen():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("named", "robot", "gripper"),
+    [
+        ("robot is at 192.168.125.1", {"rws": {"url": "http://192.168.125.1"}}, "127.0.0.1"),
+        ("robot is at 192.168.125.1", {"robot_host": "192.168.125.1"}, "127.0.0.1"),
+        ("robot is at 192.168.125.1", {"device": "abb_rapid"}, "127.0.0.1"),
+        ("gripper is at 192.168.1.20", {}, "192.168.1.20"),
+    ],
+)
+def test_a_cell_whose_devices_are_elsewhere_is_not_a_simulated_one(named, robot, gripper):
+    """A real cell's file that began as a copy of a simulated one's would need no commissioning, and not warn."""
+    robot = {"rws": {"url": "http://127.0.0.1:1"}} | robot
+    tables = {"robot": robot, "gripper": {"host": gripper}}
+    with pytest.raises(SettingsError, match=f"simulated = true, but the {named}: .* remove the line"):
+        load_settings(None, {"simulated": True, **tables})
+    assert not load_settings(None, tables).simulated

@@ -22,6 +22,10 @@ class Settings(DeviceSettings):
     silence_s: float = Field(default=0.5, gt=0, le=30)
 
     @property
+    def hosts(self) -> tuple[str, ...]:
+        return (self.host,)
+
+    @property
     def address(self) -> str:
         """HOST:PORT."""
         return f"{self.host}:{self.port}"

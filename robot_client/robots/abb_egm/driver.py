@@ -11,7 +11,6 @@ import socket
 import time
 from dataclasses import dataclass, field
 from typing import Any
-from urllib.parse import urlsplit
 
 from robot_client.insertion.events import Arrived, Failure, Standstill, Stood
 from robot_client.insertion.geometry import CellFrame, WorkPose
@@ -288,13 +287,13 @@ def _listen(settings: Settings) -> socket.socket:
 def make(settings: Settings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:
     """The arm with RWS; only the robot's host, by default the one in the RWS address, receives guidance."""
     if settings.robot_host is None:
-        settings = settings.model_copy(update={"robot_host": _address_of(settings.rws.url)})
+        settings = settings.model_copy(update={"robot_host": _address_of(settings.rws.host)})
     return EgmArm(settings, limits, ramps, frame, RwsClient(settings.rws))
 
 
-def _address_of(url: str) -> str | None:
-    """The address of a URL's host, as in datagrams; None if it has none; RWS then fails, too."""
+def _address_of(host: str) -> str:
+    """The address of a host, as in datagrams; its name, which is in none, if that has no address now."""
     try:
-        return socket.gethostbyname(urlsplit(url).hostname or "")
+        return socket.gethostbyname(host)
     except OSError:
-        return None
+        return host

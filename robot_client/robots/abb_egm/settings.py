@@ -21,3 +21,7 @@ class Settings(DeviceSettings):
     silence_s: float = Field(default=0.25, gt=0, le=30)  # harmless in position mode: targets stop with the stream
     max_age_s: float = Field(default=0.25, gt=0, le=30)
     rws: RwsSettings = RwsSettings()
+
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        return (self.rws.host, self.robot_host or self.rws.host)

@@ -26,6 +26,7 @@ from robot_client.silence import Silence
 
 _LEASE_CHECK_S = 0.005
 _STILL_MM, _STILL_DEG, _STILL_S = 0.03, 0.05, 0.15  # the guard answers with 0.01 mm
+_ARRIVED_MM = _ARRIVED_DEG = 1.0  # further from its target an arm has not done its move, whatever is answered
 
 
 @dataclass(slots=True)
@@ -242,6 +243,7 @@ class SocketArm:
         now_s = time.monotonic()
         if self._waiting == "fresh position" and state.number == self._asked:
             self._waiting = None
+            self._check_arrived(here)
             self._report(Arrived(at_s=now_s, pose=here))
         # Wait for the answer to a move that is still on its way: the next release would start it.
         if self._waiting != "standstill" or not state.stopped or self._sent is not None:
@@ -252,6 +254,14 @@ class SocketArm:
         elif now_s - since_s >= _STILL_S:
             self._waiting = None
             self._report(Standstill(at_s=now_s, pose=here, still_s=_STILL_S))
+
+    def _check_arrived(self, here: WorkPose) -> None:
+        """Fail if the move did not lead to its target: the next one would begin elsewhere, perhaps between blocks."""
+        assert self._target is not None
+        away_mm, away_deg = self._target.distance_mm(here), self._target.turn_deg(here)
+        if not (away_mm <= _ARRIVED_MM and away_deg <= _ARRIVED_DEG):
+            away, allowed = f"{away_mm:.2f} mm and {away_deg:.2f} deg", f"allowed {_ARRIVED_MM:g} and {_ARRIVED_DEG:g}"
+            self._fail("tracking", f"the arm ended its move {away} away from its target, {allowed}")
 
     def _report(self, event: Arrived | Standstill) -> None:
         if self._post is not None and not self._latched:

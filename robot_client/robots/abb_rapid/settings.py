@@ -20,3 +20,7 @@ class Settings(DeviceSettings):
     poll_s: float = Field(default=0.02, gt=0)
     silence_s: float = Field(default=0.5, gt=0, le=30)
     rws: RwsSettings = RwsSettings()
+
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        return (self.rws.host, self.host)

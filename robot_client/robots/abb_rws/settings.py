@@ -54,6 +54,11 @@ class RwsSettings(Contract):
         return path
 
     @property
+    def host(self) -> str:
+        """The controller's name or address in ``url``."""
+        return urlsplit(self.url).hostname or ""
+
+    @property
     def trusted(self) -> ssl.SSLContext:
         """The TLS context with the trusted certificates of the controller."""
         context = ssl.create_default_context(cafile=self.certificate or self.ca)

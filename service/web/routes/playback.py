@@ -11,12 +11,11 @@ from fastapi import APIRouter, HTTPException
 
 from service.contract import Finger
 from service.recordings.need import needed
-from service.recordings.writer import FINAL
 from service.session.station import Station
 from service.web.access import Access
 from service.web.page.playback import moment, timeline
 from service.web.reading import Reading
-from service.web.routes.recordings import recording_folder
+from service.web.routes.recordings import recording_file
 
 AGAIN_S = 120.0
 LOOK_S = 0.1
@@ -28,10 +27,7 @@ def router(station: Station, access: Access) -> APIRouter:
     deciding, reading = asyncio.Lock(), Reading(station)
 
     def file_of(name: str) -> Path:
-        path = recording_folder(station.settings.recordings, name) / FINAL
-        if not path.is_file():
-            raise HTTPException(404, f"recording {name} has no {FINAL}")
-        return path
+        return recording_file(station.settings.recordings, name)
 
     @routes.get("/timeline")
     async def curves(name: str) -> dict[str, Any]:

@@ -52,6 +52,14 @@ def recording_folder(root: Path, name: str) -> Path:
     return folder
 
 
+def recording_file(root: Path, name: str) -> Path:
+    """The file of a recording; 404 unless it lies in the recording's own folder, where a link may not lead out of."""
+    path = recording_folder(root, name) / FINAL
+    if not path.is_file() or path.resolve() != root.resolve() / name / FINAL:
+        raise HTTPException(404, f"recording {name} has no {FINAL}")
+    return path
+
+
 def _list(root: Path) -> bytes:
     """Recordings as JSON, in steps of one: all at once would keep every other thread waiting meanwhile."""
     problems: list[str] = []
@@ -70,10 +78,7 @@ def router(station: Station, access: Access) -> APIRouter:
 
     @routes.get("/{name}", dependencies=watch, response_class=Mcap)
     async def recording(name: str) -> Mcap:
-        path = recording_folder(root, name) / FINAL
-        if not path.is_file():
-            raise HTTPException(404, f"recording {name} has no {FINAL}")
-        return Mcap(path, filename=f"{name}.mcap")
+        return Mcap(recording_file(root, name), filename=f"{name}.mcap")
 
     @routes.delete("/{name}", dependencies=admin)
     async def remove(name: str) -> dict[str, str]:

@@ -121,6 +121,21 @@ def test_a_tilt_beyond_the_bound_is_refused_and_nothing_moves(limits, tilt_deg, 
     assert not any(isinstance(command, Move) for command in commands)
 
 
+@pytest.mark.parametrize(
+    ("plan", "tilt_deg", "says"),
+    [
+        (PLAN, 0.2, "tilt_deg = 0.200, allowed up to 0 "),
+        (SIGNED.model_copy(update={"limits": Limits(max_tilt_deg=1.0)}), 0.9, "tilt_deg = 0.900, allowed up to 0.5 "),
+    ],
+)
+def test_a_service_that_asks_for_more_than_the_client_offered_is_not_followed(plan, tilt_deg, says):
+    """Where nobody has checked the signs, the tool might tilt the wrong way."""
+    state, commands = run([*TO_ARMING, straighten(1, tilt_deg)], State(plan))
+    assert state.phase is Phase.FAILED
+    assert says in state.reason
+    assert [type(command) for command in commands[-2:]] == [Hold, Send]
+
+
 def test_a_service_that_asks_again_and_again_is_not_followed():
     state, _ = second_arming()
     leaning = state.armed.tilted(LEAN_DEG)

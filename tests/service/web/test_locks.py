@@ -1,7 +1,10 @@
 """The door is locked from the start: who may call, by which name, from which page. On real sockets."""
 
+import json
 import re
+import shutil
 import socket
+import time
 from pathlib import Path
 
 import httpx
@@ -10,8 +13,9 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from service.contract import wire
+from service.settings import Settings
 from tests.service.client import Driver
-from tests.service.conftest import LiveService, live_service
+from tests.service.conftest import LiveService, live_service, served
 
 DRIVE, ADMIN = "a-token-for-driving", "a-token-for-administration"
 REBOUND = "evil.example"  # a page's name, made to resolve to this machine
@@ -107,6 +111,42 @@ def test_a_foreign_page_cannot_embed_what_the_cameras_show(live: LiveService) ->
     assert httpx.get(live.url("/v1/cameras"), headers=ours).status_code == 200
     followed = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
     assert httpx.get(live.url("/v1/recordings"), headers=followed).status_code == 200
+
+
+def test_no_link_in_a_recording_leads_to_another_file(live: LiveService) -> None:
+    """As from somebody's archive, unpacked there to be looked at: the token would be anybody's who may watch."""
+    whole = {"insertion_id": "linked", "outcome": "inserted", "attempts": 1}
+    outside = live.recordings.parent / "elsewhere"
+    folders = live.recordings / "20260101T000000_file", live.recordings / "20260101T000001_folder"
+    for folder, at in ((folders[0], folders[0]), (folders[1], outside)):
+        at.mkdir()
+        (at / "summary.json").write_text(json.dumps(whole))
+        (at / "insertion.mcap").symlink_to(live.recordings.parent / "state" / "token")
+        if at is not folder:
+            folder.symlink_to(at)
+    for folder in folders:
+        for method, path in (("GET", ""), ("GET", "/timeline"), ("GET", "/moments/left/1"), ("POST", "/decide")):
+            answer = httpx.request(method, live.url(f"/v1/recordings/{folder.name}{path}"))
+            assert (answer.status_code, live.token in answer.text) == (404, False)
+    folders[1].unlink()
+    shutil.rmtree(folders[0])
+
+
+def test_a_cameras_password_is_shown_to_nobody(tmp_path: Path, models_folder: Path) -> None:
+    """/readyz is open to everybody, /v1/cameras to whoever may watch, and a recording holds the settings."""
+    secret = "hunter2"
+    cameras = {
+        "camera_left": f"http://127.0.0.1:9/v?user=a&pwd={secret}",
+        "camera_right": f"http://a:{secret}@[::1]:9/v",
+    }
+    settings = Settings(models=models_folder, recordings=tmp_path / "r", state=tmp_path / "state", **cameras)
+    with served(settings) as (station, port):
+        while {camera.state for camera in station.cameras.values()} != {"lost"}:
+            time.sleep(0.05)
+        paths = ("/readyz", "/v1/cameras", "/v1/status", "/metrics")
+        texts = [httpx.get(f"http://127.0.0.1:{port}{path}").text for path in paths]
+    assert not any(secret in text for text in [*texts, settings.model_dump_json()])
+    assert all(url in texts[0] for url in ("http://127.0.0.1:9/v?...: ", "http://[::1]:9/v: "))
 
 
 def test_no_header_makes_another_client_of_a_peer(tmp_path: Path, models_folder: Path) -> None:

@@ -235,7 +235,7 @@ def test_a_robot_named_in_the_settings_is_the_one_that_is_guided_whatever_the_ad
         for url, named, guided in (
             ("http://127.0.0.1:8", "192.0.2.7", "192.0.2.7"),
             ("http://127.0.0.1:8", None, "127.0.0.1"),
-            ("http://no-such-robot", None, None),
+            ("http://no-such-robot", None, "no-such-robot"),  # and not whoever sends first
         ):
             if "no-such" in url:
                 monkeypatch.setattr("robot_client.robots.abb_egm.driver.socket.gethostbyname", unknown)

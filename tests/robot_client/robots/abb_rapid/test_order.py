@@ -33,8 +33,8 @@ def clock(monkeypatch):
     return stopped_clock(monkeypatch, driver)
 
 
-def guard_says(arm, number, *, stopped):
-    arm._on_guard(f"P {number} 5.00 0.00 40.00 0 1 0 0 0 {int(stopped)}")
+def guard_says(arm, number, *, stopped, z_mm=40.0, turned="0 1 0 0"):
+    arm._on_guard(f"P {number} 5.00 0.00 {z_mm:.2f} {turned} 0 {int(stopped)}")
 
 
 def rests(arm, clock, number):
@@ -145,10 +145,32 @@ def test_an_arrival_is_reported_with_the_position_that_was_asked_for_after_it(cl
     assert arm._guard.sent == ["R 1#", "H 2#"]
     guard_says(arm, 1, stopped=False)
     assert events == []
-    guard_says(arm, 2, stopped=False)
+    guard_says(arm, 2, stopped=False, z_mm=45.0)
     assert [type(event) for event in events] == [Arrived]
-    guard_says(arm, 2, stopped=False)
+    guard_says(arm, 2, stopped=False, z_mm=45.0)
     assert len(events) == 1
+
+
+@pytest.mark.parametrize(
+    ("z_mm", "turned", "ends"),
+    [
+        (44.1, "0 1 0 0", "arrived"),
+        (43.9, "0 1 0 0", "tracking"),
+        (45.0, "0 0.99997 0.00785 0", "arrived"),  # by 0.9 deg
+        (45.0, "0 0.99995 0.01000 0", "tracking"),  # by 1.1 deg
+        (40.0, "0 1 0 0", "tracking"),  # it never left
+    ],
+)
+def test_a_move_that_is_said_to_be_done_elsewhere_is_a_failure(clock, z_mm, turned, ends):
+    """After an arrival the arm may go sideways."""
+    arm, events = guided()
+    arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0), "retract")
+    guard_says(arm, 1, stopped=False)
+    arm._on_motion("D 1")
+    guard_says(arm, 2, stopped=False, z_mm=z_mm, turned=turned)
+    (event,) = events
+    assert getattr(event, "code", event.kind) == ends
+    assert (arm._guard.sent[-1][0] == "S") == (ends == "tracking")
 
 
 def test_a_failure_latches_and_nothing_is_sent_off_any_more(clock):
