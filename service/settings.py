@@ -168,7 +168,8 @@ class Settings(BaseSettings):
             raise ValueError(f"host {self.host} is reachable from outside: set --token-drive, or listen on 127.0.0.1")
         if self.camera_left == self.camera_right and self.camera_left.startswith(("http:", "v4l2:", "/dev/")):
             raise ValueError(
-                f"camera_left and camera_right are both {self.camera_left}: each finger has its own camera"
+                f"camera_left and camera_right are both {without_secrets(self.camera_left)}:"
+                " each finger has its own camera"
             )
         if (self.tls_certificate is None) != (self.tls_key is None):
             raise ValueError("tls_certificate and tls_key go together: give both or neither")

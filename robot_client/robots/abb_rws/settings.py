@@ -36,7 +36,9 @@ class RwsSettings(Contract):
     @field_validator("url")
     @classmethod
     def _reachable(cls, url: str) -> str:
-        """Refuse an invalid address here: httpx would raise only on use."""
+        """Refuse an invalid address here: httpx would raise only on use, and send a password in it in the clear."""
+        if "@" in url:
+            raise ValueError("an address without user and password: these are robot.rws.user and robot.rws.password")
         try:
             httpx.URL(url).copy_with(port=urlsplit(url).port)
         except (ValueError, httpx.InvalidURL) as error:

@@ -13,6 +13,7 @@ from robot_client.robots.abb_rws.generation import RwsError, credentials
 from robot_client.robots.abb_rws.rws1 import RWS1
 from robot_client.robots.abb_rws.rws2 import RWS2
 from robot_client.robots.abb_rws.settings import RwsSettings
+from robot_client.settings import SettingsError, load_settings
 from simulation.cell.emulators.net import HttpServer, bind_tcp
 from tests.robot_client.live_cell import bench
 from tests.robot_client.robots.abb_rws.certificates import self_made
@@ -193,6 +194,13 @@ def test_the_password_never_goes_out_readable():
     assert isinstance(credentials('Basic realm="r"', "https://192.168.125.1", "user", "password"), httpx.BasicAuth)
     assert isinstance(credentials('Basic realm="r"', "http://127.0.0.1:8", "user", "password"), httpx.BasicAuth)
     assert isinstance(credentials('DIGEST realm="r"', "http://192.168.125.1", "user", "password"), httpx.DigestAuth)
+
+
+def test_a_password_in_the_address_is_refused_and_not_shown():
+    """httpx would send it with the first request, whatever the controller asks for."""
+    with pytest.raises(SettingsError, match=r"these are robot.rws.user and robot.rws.password") as refused:
+        load_settings(None, {"robot": {"rws": {"url": "http://admin:hunter2@192.168.125.1"}}})
+    assert "hunter2" not in str(refused.value)
 
 
 def test_a_certificate_that_cannot_be_read_is_refused_by_the_settings(tmp_path):
