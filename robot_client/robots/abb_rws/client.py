@@ -148,7 +148,11 @@ class RwsClient:
 
     async def read_signal(self, name: str) -> bool:
         """Whether a digital signal of the controller is on; raises RwsError."""
-        return float(await self._state("lvalue", name)) != 0.0
+        value = await self._state("lvalue", name)
+        on = {"0": False, "1": True}.get(value.removesuffix(".0"))
+        if on is None:
+            raise RwsError(f"signal {name} is {value[:80]!r}, expected 0 or 1 of a digital one")
+        return on
 
     async def write_signal(self, name: str, *, on: bool) -> None:
         """Switch a digital output of the controller, whose access level must allow it; raises RwsError."""

@@ -114,9 +114,17 @@ def test_what_keeps_a_program_from_being_started_is_found_before_it_is(state, sw
         assert started == (not refused) == bool(posted) == all(good)
 
 
-@pytest.mark.parametrize(("value", "on"), [("0", False), ("0.0", False), ("0.1", True), ("1", True)])
-def test_a_signal_is_on_unless_it_is_nought(value, on):
+@pytest.mark.parametrize(("value", "on"), [("0", False), ("0.0", False), ("1.0", True), ("1", True)])
+def test_a_digital_signal_is_on_or_off(value, on):
     assert asked(lambda client: client.read_signal("di"), {"lvalue": value}) is on
+
+
+@pytest.mark.parametrize("value", ["0.37", "nan", "-1", "2", "", "on"])
+def test_a_signal_that_is_neither_on_nor_off_starts_nothing(value):
+    """An analog signal, named by mistake, was on unless it was nought: a part would begin."""
+    assert asked(lambda client: client.read_signal("ai"), {"lvalue": value}) == (
+        f"signal ai is {value!r}, expected 0 or 1 of a digital one"
+    )
 
 
 def test_an_answer_without_the_state_that_was_asked_for_is_named():
