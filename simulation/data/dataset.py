@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from reporting.files import write_durably
 from service.contract import Sensor
-from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, read_manifest
+from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, naming, read_manifest
 from simulation.data.trial import (
     LABELS,
     SCALARS,
@@ -151,19 +151,22 @@ class Dataset:
         self._groups: OrderedDict[tuple[int, int], list[dict[str, Any]]] = OrderedDict()
         self._renderers: OrderedDict[Appearance, Any] = OrderedDict()
         self._files: dict[int, Any] = {}
-        self._where: list[tuple[int, int]] = []
+        self._where: list[tuple[int, int, int]] = []  # shard, row group and row in it
         for shard, entry in enumerate(self.manifest.shards):
             entry.must_be_whole(self.path, verify=verify)
             self._must_be_labelled(shard)
-            self._where += [(shard, row) for row in range(entry.trials)]
+            self._where += [(shard, *place) for place in self._rows(shard)]
 
     def __len__(self) -> int:
         return len(self._where)
 
     def trial(self, index: int) -> Trial:
-        """Trial ``index``; its arrays are read-only views."""
-        shard, row = self._where[index]
-        return from_row(self._row_group(shard, row // _ROWS_PER_GROUP)[row % _ROWS_PER_GROUP], self.manifest.sensor)
+        """Trial ``index``, checked; its arrays are read-only views."""
+        shard, group, row = self._where[index]
+        with naming(self.path / self.manifest.shards[shard].name, index):
+            trial = from_row(self._row_group(shard, group)[row], self.manifest.sensor)
+            trial.check()
+        return trial
 
     def frames(self, index: int, start: int | None = None, count: int = 8) -> NDArray[np.uint8]:
         """Uint8 [count, 2, H, W, 3]: rectified frames from ``start`` (the onset if None), both fingers.
@@ -198,9 +201,17 @@ class Dataset:
                 raise DatasetError(f"{path}: its columns are not those of sensor {sensor}")
         return self._files[shard]
 
+    def _rows(self, shard: int) -> list[tuple[int, int]]:
+        """Row group of each trial of a shard and its row there: another program may have written larger groups."""
+        about = self._file(shard).metadata
+        return [(group, row) for group in range(about.num_row_groups) for row in range(about.row_group(group).num_rows)]
+
     def _must_be_labelled(self, shard: int) -> None:
-        columns = self._file(shard).read(columns=list(SCALARS)).to_pydict()
         name = self.path / self.manifest.shards[shard].name
+        try:
+            columns = self._file(shard).read(columns=list(SCALARS)).to_pydict()
+        except OSError as error:
+            raise DatasetError(f"{name}: not a Parquet shard: {error}") from error
         for label in LABELS:
             if not np.isfinite(np.asarray(columns[label], float)).all():
                 raise DatasetError(f"{name}: label {label} holds a number that is not finite")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from reporting.files import write_durably, write_json
 from service.contract import Sensor
 from simulation.data.dataset import Dataset
-from simulation.data.manifest import DatasetError, file_sha256
+from simulation.data.manifest import DatasetError, file_sha256, naming
 from simulation.data.trial import FRAMES, Trial, arrays, from_row, stated
 
 EPISODES_PER_FILE = 8  # about 100 MB of PNG, LeRobot's own limit per file
@@ -112,6 +112,8 @@ class Exported:
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise DatasetError(f"{path}: no dataset that `export-dataset` wrote, {TRIALS}: {error}") from error
         self._files = [path / _DATA.format(chunk_index=chunk, file_index=file) for chunk, file in places]
+        if len(places) != len(self._trials):
+            raise DatasetError(f"{path}: {len(self._trials)} trials in {TRIALS}, {len(places)} in meta/episodes")
         for file in dict.fromkeys(self._files):
             try:
                 pq.read_metadata(file)
@@ -126,17 +128,19 @@ class Exported:
     def trial(self, index: int) -> Trial:
         """Trial ``index``, checked."""
         names = ("observation.gel", "observation.state", "observation.wrench")
-        gel, state, wrench = (np.array(column) for column in self._columns(index, names))
-        values = {"gel": gel, "depth_mm": state[:, 0], "wrench": wrench, "in_hand": state[:, 1:]}
-        row = {name: values[name].astype(kind).tobytes() for name, (_, kind) in arrays(self.manifest.sensor).items()}
-        trial = from_row({**self._trials[index], **row}, self.manifest.sensor)
-        trial.check()
+        with naming(self._files[index], index):
+            gel, state, wrench = (np.array(column) for column in self._columns(index, names))
+            parts = {"gel": gel, "depth_mm": state[:, 0], "wrench": wrench, "in_hand": state[:, 1:]}
+            row = {name: parts[name].astype(kind).tobytes() for name, (_, kind) in arrays(self.manifest.sensor).items()}
+            trial = from_row({**self._trials[index], **row}, self.manifest.sensor)
+            trial.check()
         return trial
 
     def frames(self, index: int, start: int, count: int) -> NDArray[np.uint8]:
         """Uint8 [count, 2, H, W, 3] BGR, lossless."""
-        pairs = list(zip(*self._columns(index, CAMERAS), strict=True))[start : start + count]
-        return np.array([[_drawn(picture["bytes"]) for picture in pair] for pair in pairs], np.uint8)
+        with naming(self._files[index], index):
+            pairs = list(zip(*self._columns(index, CAMERAS), strict=True))[start : start + count]
+            return np.array([[_drawn(picture["bytes"]) for picture in pair] for pair in pairs], np.uint8)
 
     def _columns(self, index: int, names: Sequence[str]) -> list[list[Any]]:
         import pyarrow.parquet as pq
@@ -144,7 +148,7 @@ class Exported:
         path = self._files[index]
         table = pq.read_table(path, columns=list(names), filters=[("episode_index", "=", index)])
         if len(table) != FRAMES:
-            raise DatasetError(f"{path}: {len(table)} frames of episode {index}, expected {FRAMES}")
+            raise DatasetError(f"{len(table)} frames, expected {FRAMES}")
         return [table[name].to_pylist() for name in names]
 
 

@@ -1,20 +1,36 @@
 """The manifest of a dataset."""
 
 import hashlib
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, Literal, Self
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
-from service.contract.frames import Contract
+from service.contract.frames import Contract, ContractError
+from service.contract.refusals import reason
 from service.contract.sensor import Sensor
 
 MANIFEST = "manifest.json"
 SCHEMA_VERSION: Final = 2  # 1 did not state how high the object is held
 
 
-class DatasetError(ValueError):
+class DatasetError(ContractError):
     """A dataset, shard or label that cannot be used; the text names it and the expected value."""
+
+
+@contextmanager
+def naming(path: Path, trial: int) -> Iterator[None]:
+    """Read one trial of a file: whatever is wrong with it becomes a DatasetError that names both."""
+    try:
+        yield
+    except KeyError as error:
+        raise DatasetError(f"{path}: trial {trial} lacks {error}") from error
+    except (ValueError, TypeError, OSError) as error:  # pyarrow's errors are among them
+        why = reason(error).partition("\n")[0]
+        raise DatasetError(f"{path}: trial {trial} cannot be read: {why}") from error
 
 
 class ShardEntry(Contract):
@@ -68,6 +84,12 @@ class Manifest(Contract):
     complete: bool = False
     shards: tuple[ShardEntry, ...] = ()
 
+    @model_validator(mode="after")
+    def _no_shard_twice(self) -> Self:
+        if twice := [name for name, count in Counter(entry.name for entry in self.shards).items() if count > 1]:
+            raise ValueError(f"shard {twice[0]} is listed twice")
+        return self
+
     @property
     def trials(self) -> int:
         """Number of trials in all listed shards."""
@@ -112,7 +134,7 @@ def read_manifest(folder: Path) -> Manifest:
         key = ".".join(str(part) for part in first["loc"])
         if key == "schema_version":
             raise DatasetError(f"{path}: schema version {first['input']!r}, expected {SCHEMA_VERSION}") from error
-        raise DatasetError(f"{path}: {key or 'contents'}: {first['msg']}") from error
+        raise DatasetError(f"{path}: {key or 'contents'}: {first['msg'].removeprefix('Value error, ')}") from error
 
 
 def file_sha256(path: Path) -> str:

@@ -69,8 +69,10 @@ class Trial:
             raise DatasetError(f"trial split {self.split!r}, expected one of {', '.join(SPLITS)}")
         for name, (shape, _) in arrays(self.sensor).items():
             array = getattr(self, name)
-            if array.shape != shape or not np.isfinite(array).all():
-                raise DatasetError(f"trial {name} has shape {list(array.shape)}, expected finite {list(shape)}")
+            if array.shape != shape:
+                raise DatasetError(f"trial {name} has shape {list(array.shape)}, expected {list(shape)}")
+            if not np.isfinite(array).all():
+                raise DatasetError(f"trial {name} holds a number that is not finite")
         if not 0 <= self.onset_frame <= FRAMES - 8:
             raise DatasetError(f"trial onset_frame {self.onset_frame}, expected 0..{FRAMES - 8} (8 frames follow it)")
 

@@ -8,9 +8,11 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
+from simulation.data.manifest import ShardEntry
 from simulation.data.trial import LABELS, split_of
 from tests.simulation.strategies import made_up_dataset, made_up_manifest, made_up_trial, written
 
@@ -84,6 +86,21 @@ def test_a_truncated_shard_is_named_and_left_alone(folder: Path) -> None:
     with pytest.raises(DatasetError, match="truncated"):
         DatasetWriter(folder, made_up_manifest())
     assert before == {path: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("rows", [5, 11, 100])
+def test_a_shard_that_another_program_wrote_again_is_read_row_by_row(folder: Path, rows: int) -> None:
+    """Other programs choose other row groups."""
+    before = [Dataset(folder).trial(index) for index in range(24)]
+    pq.write_table(pq.read_table(shard(folder)), shard(folder), row_group_size=rows)
+    stated = json.loads((folder / "manifest.json").read_text())
+    entry = ShardEntry.of(shard(folder).name, shard(folder).read_bytes(), trials=12, object_name="", outcomes={})
+    stated["shards"][1] |= {"size_bytes": entry.size_bytes, "sha256": entry.sha256}
+    (folder / "manifest.json").write_text(json.dumps(stated))
+    again = Dataset(folder)
+    for index, trial in enumerate(before):
+        assert again.trial(index).seed == trial.seed
+        assert np.array_equal(again.trial(index).gel, trial.gel)
 
 
 def test_a_missing_shard_is_named(folder: Path) -> None:

@@ -162,6 +162,23 @@ def test_an_export_with_a_damaged_file_of_frames_is_refused_by_name(
         Exported(mine)
 
 
+def test_an_export_that_lacks_part_of_a_trial_is_refused_by_its_number(lerobot: Path, tmp_path: Path) -> None:
+    mine = Path(shutil.copytree(lerobot, tmp_path / "mine"))
+    kept = json.loads((mine / TRIALS).read_text())
+    del kept["trials"][0]["x_mm"]
+    (mine / TRIALS).write_text(json.dumps(kept))
+    frames = max((mine / "data").rglob("*.parquet"))
+    pq.write_table(pq.read_table(frames).slice(5), frames)
+    with pytest.raises(DatasetError, match="trial 0 lacks 'x_mm'"):
+        Exported(mine).trial(0)
+    for read in (Exported(mine).trial, lambda index: Exported(mine).frames(index, 0, 8)):
+        with pytest.raises(DatasetError, match=rf"{frames.name}: trial 1 cannot be read: 25 frames, expected 30"):
+            read(1)
+    (mine / TRIALS).write_text(json.dumps(kept | {"trials": kept["trials"][:1]}))
+    with pytest.raises(DatasetError, match="1 trials in .*, 2 in meta/episodes"):
+        Exported(mine)
+
+
 def test_nothing_is_overwritten_and_nothing_is_made_up(source: Path, tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(DatasetError, match="not empty"):

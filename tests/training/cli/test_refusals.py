@@ -81,12 +81,18 @@ def of_another_version(probes):
     (probes / MANIFEST).write_text(json.dumps(stated | {"schema_version": 99}))
 
 
-def with_a_nan_label(probes):
+def listed_twice(probes):
+    stated = json.loads((probes / MANIFEST).read_text())
+    (probes / MANIFEST).write_text(json.dumps(stated | {"shards": [*stated["shards"], stated["shards"][1]]}))
+
+
+def edited(probes, column, value):
+    """Change the fourth row of a shard, and list it as if it had been written so."""
     table = pq.read_table(probes / SHARD)
-    place = table.column_names.index("theta_deg")
-    labels = table.column(place).to_pylist()
-    labels[3] = float("nan")
-    changed = pa.array(labels, table.schema.field(place).type)
+    place = table.column_names.index(column)
+    values = table.column(place).to_pylist()
+    values[3] = value
+    changed = pa.array(values, table.schema.field(place).type)
     pq.write_table(table.set_column(place, table.schema.field(place), changed), probes / SHARD)
     stated = json.loads((probes / MANIFEST).read_text())
     entry = next(entry for entry in stated["shards"] if entry["name"] == SHARD)
@@ -100,7 +106,11 @@ def with_a_nan_label(probes):
     [
         (truncated, rf"{SHARD}.*truncated\?"),
         (of_another_version, f"{MANIFEST}.*schema version 99, expected 2"),
-        (with_a_nan_label, rf"{SHARD}.*theta_deg"),
+        (lambda probes: edited(probes, "theta_deg", float("nan")), rf"{SHARD}.*theta_deg"),
+        (lambda probes: edited(probes, "split", "dev"), rf"{SHARD}: trial 15 .*'dev', expected one of train"),
+        (lambda probes: edited(probes, "onset_frame", 99), rf"{SHARD}: trial 15 .*onset_frame 99, expected 0\.\.22"),
+        (lambda probes: edited(probes, "appearances", "{}"), rf"{SHARD}: trial 15 cannot be read"),
+        (listed_twice, f"{SHARD} is listed twice"),
     ],
 )
 def test_data_that_cannot_be_used_are_named_and_refused(probes, run_file, tmp_path, monkeypatch, capsys, damage, named):
