@@ -1,12 +1,13 @@
 """Files that survive a kill: temporary file, fsync, rename, fsync of the folder; with JSON, CSV and logs on top."""
 
 import csv
+import fcntl
 import io
 import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 
 def write_durably(path: Path, data: bytes) -> None:
@@ -22,6 +23,20 @@ def write_durably(path: Path, data: bytes) -> None:
         os.fsync(folder)
     finally:
         os.close(folder)
+
+
+def locked(folder: Path) -> BinaryIO:
+    """The lock of a folder, until it is closed; the kernel releases it when this process ends, also by kill -9.
+
+    Raises BlockingIOError if another process holds it.
+    """
+    lock = (folder / ".lock").open("wb")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.close()
+        raise
+    return lock
 
 
 def write_json(path: Path, data: Any) -> None:

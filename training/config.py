@@ -1,10 +1,14 @@
 """One run of training, read from one TOML file, which holds every value that shapes a network."""
 
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from pydantic import Field, JsonValue, ValidationError
 
+from reporting.files import locked
 from service.contract.frames import Contract, ContractError
 from service.contract.refusals import describe
 from service.contract.toml import read_toml
@@ -55,8 +59,8 @@ class AnyRun(Contract):
     """Fields of every run: its name, its output folder, and the device that computes its steps."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")
-    seed: int = Field(default=0, ge=0)
-    threads: int = Field(default=1, ge=1)
+    seed: int = Field(default=0, ge=0, lt=2**32)
+    threads: int = Field(default=1, ge=1, le=256)
     device: str = Field(default="cpu", pattern=r"^(cpu|cuda)$")
     runs: str = "runs"
 
@@ -94,7 +98,8 @@ class RunConfig(AnyRun):
         """As for every run; an unknown kind of network is refused with the nearest known one."""
         config = super().load(path)
         try:
-            network_class(config.network.kind)
+            if network_class(config.network.kind).reads_steps and not config.network.affine_fit:
+                raise ContractError("network.affine_fit is false, networks that read steps of depth need it")
         except ContractError as error:
             raise ContractError(f"{path}: {error}") from error
         return config
@@ -125,11 +130,41 @@ class RecipeConfig(AnyRun):
         return stated | {"imagenet": self.imagenet is not None}
 
 
+@contextmanager
+def alone_in(folder: Path, *, first: bool = True) -> Iterator[None]:
+    """Keep other runs out of ``folder``, in the ``first`` process of a run; raise ContractError if one is in it."""
+    try:
+        lock = locked(folder) if first else None
+    except BlockingIOError as error:
+        raise ContractError(f"{folder}: another process is training there; expected another name") from error
+    try:
+        yield
+    finally:
+        if lock:
+            lock.close()
+
+
 def refuse_another(folder: Path, config: Contract) -> None:
     """Raise ContractError if a run with another config wrote into ``folder``: it cannot be resumed."""
-    path = folder / "config.json"
-    if path.exists() and path.read_text() != config.model_dump_json(indent=1):
-        raise ContractError(f"{folder} belongs to a run with another config; expected a new name or an empty folder")
+    path, asked = folder / "config.json", config.model_dump_json(indent=1)
+    if not path.exists() or path.read_bytes() == asked.encode():
+        return
+    try:
+        apart = list(differences(json.loads(path.read_bytes()), json.loads(asked)))
+    except (ValueError, AttributeError):
+        apart = ["its config.json is damaged"]
+    what = "; ".join(["belongs to a run with another config", *apart])
+    raise ContractError(f"{folder} {what}; expected a new name or an empty folder")
+
+
+def differences(one: Mapping[str, Any], other: Mapping[str, Any], above: str = "") -> Iterator[str]:
+    """Each setting in which two configs differ, by its dotted key."""
+    for name in sorted({*one, *other}):
+        was, asked = one.get(name), other.get(name)
+        if isinstance(was, dict) and isinstance(asked, dict):
+            yield from differences(was, asked, f"{above}{name}.")
+        elif was != asked:
+            yield f"its {above}{name} is {was}, not {asked}"
 
 
 def refuse_other_grounds(folder: Path, grounds: str) -> None:

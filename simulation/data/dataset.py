@@ -6,16 +6,15 @@ everything needed to draw its trial's frames (gel states, optics, seed): the sam
 only module of the simulator that training may import.
 """
 
-import fcntl
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from reporting.files import write_durably
+from reporting.files import locked, write_durably
 from service.contract import Sensor
 from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, naming, read_manifest
 from simulation.data.trial import (
@@ -44,7 +43,10 @@ class DatasetWriter:
         """
         self.path = path
         path.mkdir(parents=True, exist_ok=True)
-        self._lock = _locked(path)
+        try:
+            self._lock = locked(path)
+        except BlockingIOError as error:
+            raise DatasetError(f"{path}: another process is writing to this dataset") from error
         try:
             self.manifest = self._opened(fresh)
         except BaseException:
@@ -103,17 +105,6 @@ class DatasetWriter:
 
     def _save(self) -> None:
         write_durably(self.path / MANIFEST, self.manifest.model_dump_json(indent=1).encode())
-
-
-def _locked(path: Path) -> BinaryIO:
-    """The folder's lock; the kernel releases it when this process ends, also by kill -9."""
-    lock = (path / ".lock").open("wb")
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        lock.close()
-        raise DatasetError(f"{path}: another process is writing to this dataset") from error
-    return lock
 
 
 def encode_shard(

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from service.contract import ContractError
+from service.contract.refusals import reason
 from service.contract.text import fitted, read_by_somebody
 
 Device = Literal["cpu", "cuda"]
@@ -195,7 +196,7 @@ def run_one_of(
         parse = partial(tyro.extras.subcommand_cli_from_dict, commands, args=arguments, prog=f"python -m {package}")
         return read_by_somebody(lambda: int(parse() or 0))
     except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {reason(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(f"{(arguments or sys.argv[1:])[0]}: {interrupted}", file=sys.stderr)

@@ -6,9 +6,12 @@ The only module that touches the simulator, and only its readers of datasets.
 import hashlib
 import json
 import os
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, BinaryIO, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,8 +158,7 @@ def load_table(source: Source, folder: Path, count: int) -> dict[str, NDArray[An
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"table-{_TABLE}-{count}.npz"
     if path.exists():
-        with np.load(path) as stored:
-            return {name: stored[name] for name in stored.files}
+        return read_table(path)
     rows: dict[str, list[Any]] = {
         name: [] for name in ("key", "index", "start", "error", "geometry", "split", "objects", "groups")
     }
@@ -211,7 +213,23 @@ def refuse_empty_splits(split: NDArray[np.int64]) -> None:
     """Raise ContractError unless there are collisions to train on and to validate with."""
     for name in ("train", "validation"):
         if not (split == SPLITS.index(name)).any():
-            raise ContractError(f"the dataset has no collisions in its {name} split")
+            raise ContractError(f"the dataset has no collisions in its {name} split; collect more re-fixtures")
+
+
+def read_table(path: Path) -> dict[str, NDArray[Any]]:
+    """A table that `write_table` wrote; ContractError if it is damaged."""
+    with reading(path) as file, np.load(file) as stored:
+        return {name: stored[name] for name in stored.files}
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[BinaryIO]:
+    """A file of the cache; one that a power cut left damaged is a ContractError."""
+    try:
+        with path.open("rb") as file:
+            yield file
+    except (ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ContractError(f"{path} of the cache is damaged; remove it, it is made again") from error
 
 
 def write_table(path: Path, table: dict[str, NDArray[Any]]) -> None:
@@ -240,7 +258,8 @@ def _load_pictures(
             temporary = path.with_suffix(f".{os.getpid()}.tmp.npy")
             np.save(temporary, shown(frames, source.manifest.sensor, reads))
             temporary.replace(path)
-        kept.append(np.load(path))
+        with reading(path) as file:
+            kept.append(np.load(file))
     picture = np.full(len(table["split"]), -1, np.int64)
     picture[wanted] = np.arange(len(wanted))
     return picture, np.stack(kept) if kept else np.zeros((0, WINDOW, 2), np.uint16)

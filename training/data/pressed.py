@@ -15,7 +15,7 @@ from service.contract import ContractError, Sensor
 from service.contract.model_card import CONDITIONS, MARKER_PITCH, Pressing, Span
 from training.config import DataConfig
 from training.data.batches import Batch, mirror_fields
-from training.data.dataset import SPLITS, Source, data_sha256, open_source, refuse_split_groups, write_table
+from training.data.dataset import SPLITS, Source, data_sha256, open_source, read_table, refuse_split_groups, write_table
 from training.data.descents import Reader, Stored
 from training.data.labels import HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
 from training.networks.pressing import DECISION_STEPS, LATTICE, STEP_MM
@@ -129,8 +129,7 @@ def load_pressed(config: DataConfig, source: Source | None = None) -> Pressed:
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         write_table(path, table_of(source, range(count), config.views))
-    with np.load(path) as stored:
-        return Pressed(**{name: stored[name] for name in stored.files}, sha256=digest, sensor=source.manifest.sensor)
+    return Pressed(**read_table(path), sha256=digest, sensor=source.manifest.sensor)
 
 
 def reading_sha256(source: Source, count: int) -> str:

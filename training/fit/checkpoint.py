@@ -12,6 +12,7 @@ from torch import Tensor
 
 from service.contract import ContractError, Sensor
 from service.contract.model_card import Expectations, Pressing
+from training.config import differences
 from training.data.labels import CLASSES
 from training.metrics.figures import Scales
 from training.networks import build
@@ -113,11 +114,12 @@ class Checkpoint:
 
     def build(self, expected: NetworkConfig | None = None) -> Any:
         """The network with its weights, in evaluation mode; raise ContractError if they do not fit ``expected``."""
-        network = build(expected or self.network, len(CLASSES), self.sensor)
+        expected = expected or self.network
+        network = build(expected, len(CLASSES), self.sensor)
         try:
             network.load_state_dict(self.weights)
         except RuntimeError as error:
-            raise ContractError(
-                f"checkpoint {self.name} holds another architecture than {self.network.kind}"
-            ) from error
+            apart = differences(self.network.model_dump(), expected.model_dump())
+            what = "; ".join([f"holds another architecture than {expected.kind}", *apart])
+            raise ContractError(f"checkpoint {self.name} {what}") from error
         return network.eval()

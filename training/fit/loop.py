@@ -163,8 +163,8 @@ def _resume(path: Path, network: nn.Module, optimiser: Optimizer, schedule: Lamb
         raise ContractError(f"{path} cannot be read ({type(error).__name__}); remove it to begin this stage") from error
     try:
         network.load_state_dict(stored["network"])
-    except (RuntimeError, KeyError) as error:
+        optimiser.load_state_dict(stored["optimiser"])  # restores its learning rate, too
+        schedule.last_epoch = stored["schedule"]["last_epoch"]
+        return _Progressed(**{name: stored[name] for name in ("epoch", "best", "best_epoch", "best_state", "minutes")})
+    except (RuntimeError, KeyError, ValueError) as error:
         raise ContractError(f"{path} holds another architecture, expected this run's") from error
-    optimiser.load_state_dict(stored["optimiser"])  # restores its learning rate, too
-    schedule.last_epoch = stored["schedule"]["last_epoch"]
-    return _Progressed(**{name: stored[name] for name in ("epoch", "best", "best_epoch", "best_state", "minutes")})

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from reporting.machine import commit
-from training.config import JITTER, RecipeConfig, StageConfig, pin, refuse_another
+from training.config import JITTER, RecipeConfig, StageConfig, alone_in, pin, refuse_another
 from training.data.dataset import SPLITS, Source, data_sha256, load_table, open_source, refuse_empty_splits
 from training.data.labels import CLASSES, class_of
 from training.data.recipe_data import Rows, chosen_trials, decision_frames, load_rows
@@ -42,6 +42,13 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
     table = load_table(source, Path(config.cache) / digest[:16], len(source))
     refuse_empty_splits(table["split"])
     pin(folder, config, digest)
+    with alone_in(folder):
+        return _train(config, source, table, digest, device)
+
+
+def _train(
+    config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], digest: str, device: torch.device
+) -> Checkpoint:
     pair = AlexNetPair(NETWORK, len(CLASSES)).to(device)
     if config.imagenet:
         for network in (pair.direction, pair.magnitude):

@@ -6,6 +6,7 @@ front's own error added -> decision (every trial, no picture needed). 3. tune: p
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from torch.nn import functional
 from reporting.machine import commit
 from service.contract import ContractError, Sensor
 from service.contract.model_card import Expectations
-from training.config import RunConfig, pin, refuse_another
+from training.config import RunConfig, alone_in, pin, refuse_another
 from training.data.batches import Batch, frame_pairs
 from training.data.dataset import SPLITS, Source, Trials, refuse_empty_splits
 from training.data.labels import CLASSES, class_of
@@ -172,17 +173,26 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
         with parallel.first_goes_first():
             refuse_another(folder, config)
             trials = load(config.data, config.network.kind, source)
+            refuse_empty_splits(trials.split)
             grounds = trials.sha256 + (_start(config, trials.sensor).weights_sha256() if config.start_from else "")
             pin(folder, config, grounds)  # only now: a mistyped data folder must not claim the run's
-        trainer = _prepare(config, trials, device)
-        for stage in _stages(trainer):
-            if stage.config.epochs:
-                _run(trainer, stage, folder)
-        return _finish(trainer, folder)
+        with alone_in(folder, first=parallel.first()):
+            return _train(_prepare(config, trials, device), folder)
+
+
+def _train(trainer: Trainer, folder: Path) -> Checkpoint:
+    stages = [stage for stage in _stages(trainer) if stage.config.epochs]
+    for stage, split in product(stages, ("train", "validation")):  # before any has trained for hours
+        if stage.name != "trunk" and not len(trainer.trials.of(split, rendered=True)):
+            raise ContractError(f"stage {stage.name} needs rendered {split} trials; see data.rendered_*")
+    for stage in stages:
+        scalars = fit(trainer.network, stage, folder, trainer.config.seed)
+        if parallel.first():
+            print(stage.name, {name: round(value, 4) for name, value in scalars.items()})
+    return _finish(trainer, folder)
 
 
 def _prepare(config: RunConfig, trials: Samples, device: torch.device) -> Trainer:
-    refuse_empty_splits(trials.split)
     network: Decider = build(config.network, len(CLASSES), trials.sensor)
     if config.start_from is not None:
         network.load_state_dict(_start(config, trials.sensor).build(config.network).state_dict())
@@ -244,15 +254,6 @@ def _stages(trainer: Trainer) -> list[Stage]:
         validate=lambda: trainer.score(held_drawn, pictures=True),
     )
     return [front, trunk, tune]
-
-
-def _run(trainer: Trainer, stage: Stage, folder: Path) -> None:
-    for split in ("train", "validation"):
-        if stage.name != "trunk" and not len(trainer.trials.of(split, rendered=True)):
-            raise ContractError(f"stage {stage.name} needs rendered {split} trials; see data.rendered_*")
-    scalars = fit(trainer.network, stage, folder, trainer.config.seed)
-    if parallel.first():
-        print(stage.name, {name: round(value, 4) for name, value in scalars.items()})
 
 
 def _finish(trainer: Trainer, folder: Path) -> Checkpoint:

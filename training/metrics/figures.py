@@ -51,7 +51,7 @@ class Predictions:
         """Raise ContractError on a non-finite number, which would spoil every average."""
         for name in ("logits", "error", "log_sigma", "truth"):
             if not np.isfinite(getattr(self, name)).all():
-                raise ContractError(f"predictions hold a {name} that is not finite")
+                raise ContractError(f"{name} of some predictions: not finite, their network has diverged")
 
     def take(self, chosen: NDArray[np.bool_]) -> Self:
         return replace(self, **{name: getattr(self, name)[chosen] for name in self.__slots__})

@@ -14,9 +14,9 @@ class NetworkConfig(Contract):
     """
 
     kind: str = "compact"
-    front_width: int = Field(default=32, ge=4)
-    trunk_width: int = Field(default=24, ge=4)
-    feature_size: int = Field(default=96, ge=8)
-    state_size: int = Field(default=128, ge=8)
+    front_width: int = Field(default=32, ge=4, le=4096)
+    trunk_width: int = Field(default=24, ge=4, le=4096)
+    feature_size: int = Field(default=96, ge=8, le=4096)
+    state_size: int = Field(default=128, ge=8, le=4096)
     dropout: float = Field(default=0.1, ge=0, lt=1)
     affine_fit: bool = False

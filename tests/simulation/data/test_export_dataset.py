@@ -175,7 +175,7 @@ def test_an_export_that_lacks_part_of_a_trial_is_refused_by_its_number(lerobot: 
         with pytest.raises(DatasetError, match=rf"{frames.name}: trial 1 cannot be read: 25 frames, expected 30"):
             read(1)
     (mine / TRIALS).write_text(json.dumps(kept | {"trials": kept["trials"][:1]}))
-    with pytest.raises(DatasetError, match="1 trials in .*, 2 in meta/episodes"):
+    with pytest.raises(DatasetError, match=r"1 trials in .*, 2 in meta/episodes"):
         Exported(mine)
 
 

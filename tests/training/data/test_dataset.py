@@ -49,6 +49,17 @@ def test_the_cache_returns_what_was_read(trials, drawing, small, monkeypatch):
         assert np.array_equal(getattr(trials, name), getattr(again, name))
 
 
+@pytest.mark.parametrize("kept", [0, 0.5], ids=["empty", "half"])
+@pytest.mark.parametrize("kind", ["table", "drawn"])
+def test_a_file_of_the_cache_that_a_power_cut_damaged_is_named(small, tmp_path, kind, kept):
+    config = DataConfig(path="unused", cache=str(tmp_path), rendered_training=1, rendered_validation=0, rendered_test=0)
+    load_trials(config, small)
+    damaged = next(tmp_path.rglob("table-*.npz" if kind == "table" else "*.npy"))
+    damaged.write_bytes(damaged.read_bytes()[: int(kept * damaged.stat().st_size)])
+    with pytest.raises(ContractError, match=f"{damaged.name} of the cache is damaged; remove it"):
+        load_trials(config, small)
+
+
 def test_pictures_of_another_renderer_are_drawn_anew(config, small, monkeypatch):
     few = config.data.model_copy(update={"rendered_training": 1, "rendered_validation": 0, "rendered_test": 0})
     first = load_trials(few, small).drawn

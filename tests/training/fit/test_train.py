@@ -6,7 +6,7 @@ import torch
 
 from service.contract import ContractError, Sensor
 from tests.training.synthetic import SyntheticSource
-from training.config import RunConfig, StageConfig
+from training.config import RunConfig, StageConfig, alone_in
 from training.data.reading import load
 from training.fit.checkpoint import Checkpoint
 from training.fit.loop import Stage, fit
@@ -75,6 +75,25 @@ def test_a_stage_that_ended_early_is_not_trained_on_by_a_second_call(tmp_path, l
     assert ("toy: ENDED EARLY after 1 of 5 epochs" in capsys.readouterr().out) == ("max_minutes" in limit)
 
 
+@pytest.mark.parametrize("lost", ["optimiser", "schedule", "minutes"])
+def test_a_stage_does_not_go_on_from_half_of_its_state(tmp_path, lost):
+    network = torch.nn.Linear(1, 1)
+    stage = Stage(
+        "toy",
+        StageConfig(epochs=1),
+        list(network.parameters()),
+        lambda _: iter([torch.ones(1, 1)]),
+        1,
+        loss=lambda given: network(given).square().mean(),
+        validate=lambda: {"score": 0.0},
+    )
+    fit(network, stage, tmp_path, 0)
+    kept = torch.load(tmp_path / "toy.resume.pt", weights_only=True)
+    torch.save({name: value for name, value in kept.items() if name != lost}, tmp_path / "toy.resume.pt")
+    with pytest.raises(ContractError, match=r"toy\.resume\.pt holds another architecture"):
+        fit(network, stage, tmp_path, 0)
+
+
 def test_a_checkpoint_names_its_run_but_no_place_of_the_machine(trained):
     config, _ = trained
     run = Checkpoint.load(config.folder / "checkpoint.pt").run
@@ -85,8 +104,11 @@ def test_a_checkpoint_names_its_run_but_no_place_of_the_machine(trained):
 
 def test_a_run_folder_belongs_to_one_config(trained, source):
     config, _ = trained
-    with pytest.raises(ContractError, match="another config"):
+    with pytest.raises(ContractError, match="another config; its seed is 0, not 1; expected a new name"):
         train(config.model_copy(update={"seed": 1}), source)
+    longer = config.model_copy(update={"trunk": config.trunk.model_copy(update={"epochs": 9})})
+    with pytest.raises(ContractError, match=r"its trunk\.epochs is 2, not 9; expected"):
+        train(longer, source)
 
 
 @pytest.fixture
@@ -94,6 +116,28 @@ def cheap(config):
     """A run that reads true fields alone."""
     data = config.data.model_copy(update={"rendered_training": 0, "rendered_validation": 0, "rendered_test": 0})
     return config.model_copy(update={"data": data} | dict.fromkeys(("front", "tune"), StageConfig(epochs=0)))
+
+
+def test_two_runs_are_not_trained_in_one_folder(cheap, source):
+    """Each would overwrite what the other resumes from."""
+    cheap.folder.mkdir(parents=True)
+    with alone_in(cheap.folder), pytest.raises(ContractError, match="another process is training there"):
+        train(cheap, source)
+    assert train(cheap, source).weights
+
+
+def test_a_damaged_config_is_named(cheap, source):
+    cheap.folder.mkdir(parents=True)
+    (cheap.folder / "config.json").write_bytes(b"\xff")
+    with pytest.raises(ContractError, match=r"config\.json is damaged"):
+        train(cheap, source)
+
+
+def test_a_stage_without_pictures_is_refused_before_another_has_trained(cheap, source):
+    tuned = cheap.model_copy(update={"tune": StageConfig(epochs=1)})
+    with pytest.raises(ContractError, match=r"stage tune needs rendered train trials; see data\.rendered"):
+        train(tuned, source)
+    assert not list(cheap.folder.glob("*.pt"))
 
 
 def test_a_run_does_not_go_on_with_other_data(cheap, source):
@@ -144,6 +188,8 @@ def test_data_that_cannot_be_read_do_not_claim_a_run_folder(cheap, source, tmp_p
     mistyped = cheap.model_copy(update={"data": cheap.data.model_copy(update={"path": str(tmp_path / "nowhere")})})
     with pytest.raises(ContractError, match="cannot read the dataset"):
         train(mistyped)
+    with pytest.raises(ContractError, match="no collisions in its validation split; collect more"):
+        train(cheap, SyntheticSource(5))
     assert train(cheap, source).weights
 
 
@@ -169,6 +215,8 @@ def test_a_checkpoint_of_another_architecture_is_refused(trained):
     other = Checkpoint(**{**vars(loaded), "network": NetworkConfig(front_width=12)})
     with pytest.raises(ContractError, match="another architecture"):
         other.build()
+    with pytest.raises(ContractError, match=r"than compact; its state_size is 16, not 24$"):
+        loaded.build(loaded.network.model_copy(update={"state_size": 24}))
 
 
 @pytest.mark.parametrize(
@@ -179,6 +227,9 @@ def test_a_checkpoint_of_another_architecture_is_refused(trained):
         ("name = ", "not valid TOML"),
         ("name = 'x'\nspeed = 3\n[data]\npath='p'\n[front]\nepochs=1\n[trunk]\nepochs=1\n[tune]\nepochs=1", "speed"),
         ("name = 'x'\n[data]\npath='p'\n[front]\nepochs=-1\n[trunk]\nepochs=1\n[tune]\nepochs=1", "front.epochs"),
+        ("name = 'x'\nseed = 4294967296\n[data]\npath='p'\n[trunk]\nepochs=1", "seed: expected a number >= 0 and <"),
+        ("name = 'x'\n[data]\npath='p'\n[network]\nstate_size=10000\n[trunk]\nepochs=1", "state_size: .* <= 4096"),
+        ("name = 'x'\n[data]\npath='p'\n[network]\nkind='pressing'\n[trunk]\nepochs=1", "affine_fit is false"),
     ],
 )
 def test_a_bad_config_is_named(tmp_path, text, message):
