@@ -135,9 +135,13 @@ def adapt(
     from training.adapt.adapt import adapt as fit
     from training.adapt.adapt import report as plain_data
 
+    if not 0 <= seed < 2**32:
+        raise ContractError(f"--seed {seed}: expected 0 to {2**32 - 1}")
+    if json is not None and json.is_dir():
+        raise ContractError(f"--json {json} is a folder, expected a file")
+    for folder in (out, *([json.parent] if json else [])):
+        folder.mkdir(parents=True, exist_ok=True)  # now: the fit takes minutes
     torch.set_num_threads(1)
-    if json is not None:
-        json.parent.mkdir(parents=True, exist_ok=True)  # now: the fit takes minutes
     comparison = fit(recordings, start, out, around=around, record=record, seed=seed)
     print(comparison.text())
     if json is not None:

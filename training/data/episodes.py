@@ -25,6 +25,8 @@ from training.data.pressed import Pressed
 from training.networks.pressing import LATTICE, STEPS
 
 PROBE, WORK, LATER = "probe", "work", "later"
+FARTHEST = 1000.0
+"""Beyond this (mm, deg), an error or a motion of the gel is in other units or damaged."""
 
 
 class Attempt(NamedTuple):
@@ -47,6 +49,8 @@ def read_episodes(root: Path, sensor: Sensor, record: Path | None = None) -> Pre
     ``record`` of a commissioning: of all probes, only those that it lists. Raises ContractError where there is none,
     where an attempt was recorded on another lattice or under other conditions, or where a recording is there twice.
     """
+    if not root.is_dir():
+        raise ContractError(f"{root}: no such folder, expected one with recordings")
     folders = sorted(path.parent for path in root.glob("*/summary.json"))
     listed = None if record is None else _listed(record)
     attempts = [attempt for folder in folders for attempt in _attempts(folder, listed)]
@@ -108,11 +112,11 @@ def _listed(record: Path) -> frozenset[str]:
 def _attempts(folder: Path, listed: frozenset[str] | None) -> Iterator[Attempt]:
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-        shown = {int(path.stem[-2:]): _shown(path) for path in sorted(folder.glob("attempt_*.npz"))}
+        shown = {int(path.stem[-2:]): _shown(path) for path in sorted(folder.glob("attempt_[0-9][0-9].npz"))}
         moves = _moves(summary, shown)
         errors = _errors(summary, [*moves.values()])
-        if not np.isfinite([off for off in errors if off is not None]).all():
-            raise ValueError("the error of an attempt is not a finite number")
+        if not (np.abs([off for off in errors if off is not None]) < FARTHEST).all():
+            raise ValueError(f"the error of an attempt is no number of mm and deg below {FARTHEST:g}")
     except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
         raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
     if summary.get("purpose") == "probe" and listed is not None and summary.get("insertion_id") not in listed:
@@ -148,8 +152,10 @@ def _shown(path: Path) -> tuple[Inputs | None, Move]:
         if paused or "steps" not in stored.files:
             return None, moves
         steps, conditions = stored["steps"], np.asarray(stored["conditions"], np.float32)
-    if not len(steps) or steps.shape[1:] != (2, LATTICE.rows, LATTICE.columns, 3):
+    if steps.shape[1:] != (2, LATTICE.rows, LATTICE.columns, 3) or not len(steps):
         raise ValueError(f"{path.name} holds steps {list(steps.shape)}, expected {LATTICE}")
+    if not (np.abs(steps) < FARTHEST).all():
+        raise ValueError(f"{path.name} holds a step that is no number of mm below {FARTHEST:g}")
     if conditions.shape != (len(CONDITIONS),) or not np.isfinite(conditions).all():
         raise ValueError(f"{path.name} holds conditions {conditions}, expected {', '.join(CONDITIONS)}")
     return (steps, conditions), moves

@@ -183,3 +183,13 @@ def test_the_comparison_of_an_adaptation_is_written_into_a_new_folder(tmp_path):
     words = ["adapt", recorded(tmp_path / "few", 7), "--from", "models/pressing/checkpoint.pt"]
     assert main([*map(str, words), "--out", str(tmp_path / "out"), "--json", str(compared)]) == 3
     assert json.loads(compared.read_text())["accepted"] is False
+
+
+def test_what_would_lose_an_adaptation_at_its_end_is_refused_before_it(tmp_path, monkeypatch, capsys):
+    taken = tmp_path / "taken"
+    taken.write_text("a file")
+    words = ["adapt", recorded(tmp_path / "few", 7), "--from", "models/pressing/checkpoint.pt", "--out"]
+    assert str(taken) in refusal(monkeypatch, capsys, main, *words, taken)
+    expected = f"--json {tmp_path} is a folder, expected a file"
+    assert expected in refusal(monkeypatch, capsys, main, *words, tmp_path / "out", "--json", tmp_path)
+    assert "--seed -1: expected 0 to" in refusal(monkeypatch, capsys, main, *words, tmp_path / "out", "--seed", "-1")

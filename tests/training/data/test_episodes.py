@@ -96,8 +96,11 @@ def test_a_file_that_was_cut_off_is_named(tmp_path):
         {"conditions": np.full(6, "25 N")},
         {"steps": np.zeros((0, 2, LATTICE.rows, LATTICE.columns, 3), np.float32)},
         {"steps": np.zeros((8, 2, 11, 11, 3), np.float32)},
+        {"steps": np.array("lost")},
+        {"steps": np.full((8, 2, LATTICE.rows, LATTICE.columns, 3), np.float32(np.nan))},
+        {"steps": np.full((8, 2, LATTICE.rows, LATTICE.columns, 3), np.float32(1e5))},
     ],
-    ids=["five conditions", "NaN", "texts", "no step", "another lattice"],
+    ids=["five conditions", "NaN", "texts", "no step", "another lattice", "no array", "NaN steps", "steps of 100 m"],
 )
 def test_an_attempt_that_holds_no_input_of_such_networks_is_named(tmp_path, changed):
     keep(tmp_path / "a", [(steps_of(1, 1, np.random.default_rng(0)), {})], "probe", "failed", -7.0, 3.0)
@@ -105,19 +108,34 @@ def test_an_attempt_that_holds_no_input_of_such_networks_is_named(tmp_path, chan
     with np.load(path) as stored:
         kept = {name: stored[name] for name in stored.files}
     np.savez(path, **kept | changed)
-    with pytest.raises(ContractError, match="a is no recording of an insertion"):
+    with pytest.raises(ContractError, match=r"a is no recording of an insertion: (attempt_01\.npz holds|could not)"):
         read_episodes(tmp_path, Sensor.load())
 
 
 @pytest.mark.parametrize(
     "facts",
-    [{"approach": None}, {"approach": {"x_mm": math.nan, "yaw_deg": 1.0}}, {"decisions": 5}, {"decisions": [5]}],
+    [
+        {"approach": None},
+        {"approach": {"x_mm": math.nan, "yaw_deg": 1.0}},
+        {"approach": {"x_mm": 8000.0, "yaw_deg": 1.0}},  # in micrometres
+        {"decisions": 5},
+        {"decisions": [5]},
+    ],
     ids=str,
 )
 def test_a_summary_that_states_no_error_is_named(tmp_path, facts):
     keep(tmp_path / "a", [(steps_of(1, 1, np.random.default_rng(0)), {})], "probe", "failed", -7.0, 3.0, **facts)
     with pytest.raises(ContractError, match="a is no recording of an insertion"):
         read_episodes(tmp_path, Sensor.load())
+
+
+def test_no_folder_is_said_so_and_a_copied_file_is_no_attempt(tmp_path):
+    recorded(tmp_path / "runs", 2)
+    kept = tmp_path / "runs" / "0001" / "attempt_01.npz"
+    kept.with_name("attempt_01 (copy).npz").write_bytes(kept.read_bytes())
+    assert len(read_episodes(tmp_path / "runs", Sensor.load())) == 2
+    with pytest.raises(ContractError, match="rums: no such folder, expected one with recordings"):
+        read_episodes(tmp_path / "rums", Sensor.load())
 
 
 def test_a_press_in_which_the_arm_paused_teaches_nothing(tmp_path):
