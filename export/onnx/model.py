@@ -11,8 +11,15 @@ from numpy.typing import NDArray
 
 from export.onnx.runtime import session
 from service.contract import ContractError, ModelCard
+from service.contract.model_card import Role
 from service.contract.self_test import CONDITIONS
 
+OUTPUTS: dict[Role, list[str]] = {
+    "direction": ["logits"],
+    "magnitude": ["error", "log_sigma"],
+    "joint": ["log_density"],
+    "pair": ["logits", "error", "log_sigma"],
+}
 TOLERANCE = 1e-5
 INT8_TOLERANCE = 2e-2
 KINDS: dict[str, np.dtype[Any]] = {"tensor(uint8)": np.dtype(np.uint8), "tensor(float)": np.dtype(np.float32)}
@@ -63,6 +70,10 @@ def open_model(file: Path, threads: int = 1) -> Model:
     got = {entry.name for entry in run.get_inputs()}
     if got != expected:
         raise ContractError(f"{file.name} takes {sorted(got)}, its card promises {sorted(expected)}")
+    given = {entry.name for entry in run.get_outputs()}
+    promised = {name for name in OUTPUTS[card.role] if card.has_sigma or name != "log_sigma"}
+    if not promised <= given:
+        raise ContractError(f"{file.name} gives {sorted(given)}, its card promises {sorted(promised)}")
     return Model(file, card, run)
 
 

@@ -16,7 +16,7 @@ from onnxscript import opset18 as op
 from torch import nn
 
 from export.onnx.golden import golden_frames, golden_markers
-from export.onnx.model import open_model
+from export.onnx.model import OUTPUTS, open_model
 from export.onnx.runtime import session
 from export.onnx.verify import verify_forms
 from reporting.machine import cpu_name
@@ -39,12 +39,6 @@ LARGEST_SHARED = 10**7
 Form = Literal["sequence", "step"]
 SCRATCH = ".export-"  # folders of files that are not checked yet
 FORMS: tuple[Form, Form] = ("sequence", "step")
-OUTPUTS: dict[Role, list[str]] = {
-    "direction": ["logits"],
-    "magnitude": ["error", "log_sigma"],
-    "joint": ["log_density"],
-    "pair": ["logits", "error", "log_sigma"],
-}
 
 
 def export_checkpoint(path: Path, out: Path, only: tuple[str, ...] = ()) -> list[Path]:

@@ -1,5 +1,6 @@
 """Checks of released files: card, graph, equal forms, equal batches and threads, bounded outputs on hard inputs."""
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -39,10 +40,17 @@ def verify(folder: Path, stream_steps: int = STREAM_STEPS) -> list[str]:
     if not files:
         raise ContractError(f"no .onnx file in {folder}; export with `python -m export onnx CHECKPOINT`")
     models = [open_model(file) for file in files]
+    _check_agreement([model for model in models if model.card.form == "step"])
     lines = [f"{model.file.name}: {_check_file(model)}" for model in models]
     for model in models:
         lines += [f"{model.file.name}: {line}" for line in verify_model(model, stream_steps)]
     return lines + verify_forms(models)
+
+
+def _check_agreement(decide_together: list[Model]) -> None:
+    for one, other in pairwise(decide_together):
+        if differs := one.card.disagreements(other.card):
+            raise ContractError(f"{one.file.name} and {other.file.name} disagree on {'; '.join(differs)}")
 
 
 def _check_file(model: Model) -> str:

@@ -38,6 +38,13 @@ def first_error(error: ValidationError, whole: str = "contents") -> str:
     return f"{'.'.join(str(part) for part in first['loc']) or whole}: {first['msg']}"
 
 
+def differing(one: object, other: object) -> str:
+    """A value as text; of a contract type's, beside another of its type, only the fields that differ."""
+    if not isinstance(one, Contract) or type(one) is not type(other):
+        return str(one)
+    return ", ".join(f"{name} {value}" for name, value in one if value != getattr(other, name))
+
+
 class FrameSpec(Contract):
     """Format of a camera frame or a network input; a colour swap passes every shape check, so its order is declared.
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, JsonValue, ValidationError, model_validator
 
-from service.contract.frames import Contract, ContractError, FrameSpec, first_error
+from service.contract.frames import Contract, ContractError, FrameSpec, differing, first_error
 from service.contract.sensor import MarkerSpec, Sensor
 
 CARD_KEY = "tactile_insertion.card"
@@ -247,6 +247,11 @@ class ModelCard(Contract):
         return (self.markers.rows, self.markers.columns, 3) if self.markers else self.frame.shape
 
     @property
+    def reads(self) -> str:
+        """Its input, in words."""
+        return "steps of depth" if self.pressing else "markers" if self.markers else "pictures"
+
+    @property
     def input_dtype(self) -> type[np.uint8 | np.float32]:
         """Uint8 for pictures, float32 for fields."""
         return np.float32 if self.markers or self.pressing else np.uint8
@@ -275,20 +280,15 @@ class ModelCard(Contract):
 
     def disagreements(self, other: Self) -> list[str]:
         """Fields on which two cards that must serve one decision differ, as sentences; empty if they agree."""
-        shared = (
-            "frame",
-            "markers",
-            "pressing",
-            "profile",
-            "frames_per_decision",
-            "threshold_x_mm",
-            "threshold_theta_deg",
-            "form",
-        )
+        if self.reads != other.reads:
+            return [f"input: {self.name} reads {self.reads}, {other.name} reads {other.reads}"]
+        read = ("frame", "markers", "pressing", "profile", "frames_per_decision", "form")
+        shared = (*read, "threshold_x_mm", "threshold_theta_deg")
+        pairs = {field: (getattr(self, field), getattr(other, field)) for field in shared}
         return [
-            f"{field}: {self.name} says {getattr(self, field)}, {other.name} says {getattr(other, field)}"
-            for field in shared
-            if getattr(self, field) != getattr(other, field)
+            f"{field}: {self.name} says {differing(mine, theirs)}, {other.name} says {differing(theirs, mine)}"
+            for field, (mine, theirs) in pairs.items()
+            if mine != theirs
         ]
 
     def incomparable(self, other: Self) -> list[str]:

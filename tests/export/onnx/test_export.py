@@ -58,6 +58,34 @@ def test_released_models_verify(models):
     assert sum("self-test passed" in line for line in lines) == 3
 
 
+def of_another_role(card):
+    return card.model_copy(update={"role": "magnitude", "has_sigma": True})
+
+
+def of_another_threshold(card):
+    return card.model_copy(update={"threshold_x_mm": 3.0})
+
+
+@pytest.mark.parametrize(
+    ("edit", "named"),
+    [
+        (of_another_role, r"direction\.step\.onnx gives .*, its card promises \['error', 'log_sigma'\]"),
+        (of_another_threshold, r"direction\.step\.onnx and magnitude\.step\.onnx disagree on threshold_x_mm"),
+    ],
+)
+def test_what_the_service_refuses_does_not_verify(models, tmp_path, edit, named):
+    for role in ("direction", "magnitude"):
+        shutil.copy(models / f"{role}.step.onnx", tmp_path)
+    file = tmp_path / "direction.step.onnx"
+    model = onnx.load(str(file))
+    onnx.helper.set_model_props(model, edit(open_model(file).card).to_props())
+    onnx.save(model, str(file))
+    with pytest.raises(ContractError):
+        load_models(tmp_path)
+    with pytest.raises(ContractError, match=named):
+        verify(tmp_path, STEPS)
+
+
 @pytest.mark.slow
 def test_the_shipped_networks_verify_over_a_stream_of_10000_steps():
     for folder in ("models", "models/joint", "models/pictures"):
