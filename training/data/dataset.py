@@ -233,11 +233,22 @@ def reading(path: Path) -> Iterator[BinaryIO]:
 
 
 def write_table(path: Path, table: dict[str, NDArray[Any]]) -> None:
-    """Write the file whole or not at all, also where another process writes the same one."""
-    temporary = path.with_suffix(f".{os.getpid()}.tmp.npz")
-    try:
+    with _whole(path) as temporary:
         np.savez(temporary, **table)  # type: ignore[arg-type]
+
+
+@contextmanager
+def _whole(path: Path) -> Iterator[Path]:
+    """A name to write a file whole or not at all, also where another process writes the same one.
+
+    Raises ContractError on a full disk.
+    """
+    temporary = path.with_suffix(f".{os.getpid()}.tmp{path.suffix}")
+    try:
+        yield temporary
         temporary.replace(path)
+    except OSError as error:
+        raise ContractError(f"{path} cannot be written, is the disk full? {error}") from error
     finally:
         temporary.unlink(missing_ok=True)  # or each further try would fill the disk a little more
 
@@ -255,9 +266,8 @@ def _load_pictures(
         path = folder / f"{table['key'][trial]}.npy"
         if not path.exists():
             frames = source.frames(int(table["index"][trial]), int(table["start"][trial]), WINDOW)
-            temporary = path.with_suffix(f".{os.getpid()}.tmp.npy")
-            np.save(temporary, shown(frames, source.manifest.sensor, reads))
-            temporary.replace(path)
+            with _whole(path) as temporary:
+                np.save(temporary, shown(frames, source.manifest.sensor, reads))
         with reading(path) as file:
             kept.append(np.load(file))
     picture = np.full(len(table["split"]), -1, np.int64)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from service.contract import ContractError, Sensor
+from tests.full_disk import files_of_at_most
 from tests.simulation.strategies import made_up_dataset, made_up_trial
 from tests.training.synthetic import SyntheticSource
 from training.config import WINDOW, DataConfig
@@ -58,6 +59,15 @@ def test_a_file_of_the_cache_that_a_power_cut_damaged_is_named(small, tmp_path, 
     damaged.write_bytes(damaged.read_bytes()[: int(kept * damaged.stat().st_size)])
     with pytest.raises(ContractError, match=f"{damaged.name} of the cache is damaged; remove it"):
         load_trials(config, small)
+
+
+def test_a_full_disk_keeps_no_part_of_a_picture(small, tmp_path):
+    config = DataConfig(path="unused", cache=str(tmp_path), rendered_training=1, rendered_validation=0, rendered_test=0)
+    load_trials(config.model_copy(update={"rendered_training": 0}), small)
+    before = set(tmp_path.rglob("*.np*"))
+    with files_of_at_most(20_000), pytest.raises(ContractError, match=r"npy cannot be written, is the disk full\?"):
+        load_trials(config, small)
+    assert set(tmp_path.rglob("*.np*")) == before
 
 
 def test_pictures_of_another_renderer_are_drawn_anew(config, small, monkeypatch):
