@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from pydantic import Field, JsonValue, ValidationError
 
-from reporting.files import locked
+from reporting.files import locked, write_durably
 from service.contract.frames import Contract, ContractError
 from service.contract.refusals import describe
 from service.contract.toml import read_toml
@@ -179,5 +179,5 @@ def pin(folder: Path, config: Contract, grounds: str) -> None:
     """Claim ``folder`` for the run with this config and these grounds, which are stored next to its weights."""
     refuse_another(folder, config)
     refuse_other_grounds(folder, grounds)
-    (folder / "config.json").write_text(config.model_dump_json(indent=1))
-    (folder / "learnt_from.txt").write_text(grounds)
+    write_durably(folder / "config.json", config.model_dump_json(indent=1).encode())
+    write_durably(folder / "learnt_from.txt", grounds.encode())

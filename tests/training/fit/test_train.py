@@ -161,6 +161,8 @@ def test_a_run_does_not_go_on_from_other_weights(cheap, source):
 
 def test_a_full_disk_is_named_leaves_no_part_of_a_file_and_the_run_goes_on_afterwards(cheap, source):
     kept, again = train(cheap, source), cheap.model_copy(update={"name": "again"})
+    with files_of_at_most(500), pytest.raises(OSError, match="too large"):
+        train(again, source)
     with files_of_at_most(20_000), pytest.raises(ContractError, match="cannot be written, is the disk full"):
         train(again, source)
     assert not list(again.folder.glob("*.tmp"))
