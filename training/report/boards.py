@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,12 +16,13 @@ PERIOD_S = 1.0
 
 
 def lines(log: Path, *, follow: bool) -> Iterator[dict[str, Any]]:
-    """Each complete line of a log; with ``follow``, future ones, too."""
+    """Each complete line of a log; with ``follow``, future ones, too. A line that a kill cut off is left out."""
     with log.open() as file:
         while True:
             start, line = file.tell(), file.readline()
             if line.endswith("\n"):
-                yield json.loads(line)
+                with suppress(json.JSONDecodeError):
+                    yield json.loads(line)
             elif follow:
                 file.seek(start)
                 time.sleep(PERIOD_S)

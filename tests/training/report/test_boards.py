@@ -56,6 +56,12 @@ def test_a_line_that_is_being_written_is_waited_for(run, monkeypatch):
     assert heard == [0, 1, 2, 3]
 
 
+def test_a_line_that_a_kill_cut_off_hides_no_other(run):
+    with (run / "log.jsonl").open("a") as file:
+        file.write('{"stage": "trunk", "epo' + json.dumps({"epoch": 3}) + "\n" + json.dumps({"epoch": 4}) + "\n")
+    assert [line["epoch"] for line in boards.lines(run / "log.jsonl", follow=False)] == [0, 1, 2, 4]
+
+
 def test_a_folder_that_never_trained_is_refused(tmp_path):
     with pytest.raises(ContractError, match=r"log\.jsonl is missing: expected the folder of a run"):
         boards.show_on("tensorboard", tmp_path)
