@@ -115,7 +115,7 @@ def _epoch(
     for batch in stage.batches(rng):
         loss = loss_of(batch)
         if not torch.isfinite(loss):
-            raise ContractError(f"stage {stage.name}: the loss is {float(loss)}, expected a finite number")
+            raise ContractError(f"stage {stage.name}: the loss is {loss.item()}, expected a finite number")
         optimiser.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(stage.parameters, MAX_GRADIENT)

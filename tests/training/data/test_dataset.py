@@ -70,6 +70,13 @@ def test_a_full_disk_keeps_no_part_of_a_picture(small, tmp_path):
     assert set(tmp_path.rglob("*.np*")) == before
 
 
+def test_pictures_without_a_grid_of_markers_are_refused(small, tmp_path, monkeypatch):
+    """As of a new sensor whose profile promises more than its camera shows."""
+    monkeypatch.setattr(small, "frames", lambda *where: 0 * SyntheticSource.frames(small, *where))
+    with pytest.raises(ContractError, match=r"frame 0 of a stored decision: a grid of 0 x 0 .*, expected 20 x 21"):
+        load_trials(DataConfig(path="unused", cache=str(tmp_path)), small, "markers")
+
+
 def test_pictures_of_another_renderer_are_drawn_anew(config, small, monkeypatch):
     few = config.data.model_copy(update={"rendered_training": 1, "rendered_validation": 0, "rendered_test": 0})
     first = load_trials(few, small).drawn
