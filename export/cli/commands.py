@@ -81,4 +81,4 @@ def benchmark(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; invalid input gives one line on standard error and exit code 2."""
-    return run_one_of({"onnx": onnx, "verify": verify, "benchmark": benchmark}, arguments, "export", "interrupted")
+    return run_one_of({"onnx": onnx, "verify": verify, "benchmark": benchmark}, arguments, "export")

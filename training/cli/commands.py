@@ -185,15 +185,17 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "expect": expect,
     "adapt": adapt,
 }
+RESUMED = ("train", "recipe")
+"""Commands that go on where they were interrupted."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; invalid input gives one line on standard error and exit code 2."""
-    return run_one_of(COMMANDS, arguments, "training", "interrupted; the same command goes on")
+    return run_one_of(COMMANDS, arguments, "training", RESUMED)
 
 
 def run_one_of(
-    commands: dict[str, Callable[..., Any]], arguments: Sequence[str] | None, package: str, interrupted: str
+    commands: dict[str, Callable[..., Any]], arguments: Sequence[str] | None, package: str, resumed: Sequence[str] = ()
 ) -> int:
     """Run the command that the arguments name; its exit status."""
     try:
@@ -203,5 +205,7 @@ def run_one_of(
         print(f"error: {reason(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print(f"{(arguments or sys.argv[1:])[0]}: {interrupted}", file=sys.stderr)
+        name = (arguments or sys.argv[1:])[0]
+        goes_on = "; the same command goes on" if name in resumed else ""
+        print(f"{name}: interrupted{goes_on}", file=sys.stderr)
         return 130

@@ -14,7 +14,7 @@ from service.contract import ContractError, Sensor
 from simulation.data.manifest import MANIFEST, ShardEntry
 from tests.simulation.strategies import made_up_dataset, made_up_trial
 from tests.training.data.test_episodes import recorded
-from training.cli.commands import main
+from training.cli.commands import COMMANDS, main
 from training.data.labels import CLASSES
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import train
@@ -193,3 +193,13 @@ def test_what_would_lose_an_adaptation_at_its_end_is_refused_before_it(tmp_path,
     expected = f"--json {tmp_path} is a folder, expected a file"
     assert expected in refusal(monkeypatch, capsys, main, *words, tmp_path / "out", "--json", tmp_path)
     assert "--seed -1: expected 0 to" in refusal(monkeypatch, capsys, main, *words, tmp_path / "out", "--seed", "-1")
+
+
+@pytest.mark.parametrize(("name", "promised"), [("train", "; the same command goes on"), ("adapt", "")])
+def test_only_what_is_resumed_is_promised_to_go_on(name, promised, monkeypatch, capsys):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(COMMANDS, name, interrupted)
+    assert main([name]) == 130
+    assert capsys.readouterr().err == f"{name}: interrupted{promised}\n"
