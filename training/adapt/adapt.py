@@ -74,7 +74,8 @@ class Comparison:
         )
         conclusion = f"accepted: {self.best}" if self.accepted else f"the release stays: {'; '.join(self.objections)}"
         held = f"{self.samples_n} first attempts of {self.fixtures_n} fixtures, every figure on fixtures held out"
-        return "\n".join((table(rows, *columns).text(), held, *self._gap_text(), conclusion))
+        shown = (table(rows, *columns).text(), held) if rows else ()
+        return "\n".join((*shown, *self._gap_text(), conclusion))
 
     def _gap_text(self) -> Iterable[str]:
         if self.gap and self.gap.probes_n:
@@ -150,10 +151,8 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
     groups = samples.groups[first]
     fixtures_n = len(np.unique(groups))
     if not held:
-        few = (
-            f"{len(groups)} first attempts of {fixtures_n} fixtures, expected {FEWEST} of {FOLDS} at least: probe more"
-        )
-        return Comparison({}, "released", (few,), len(groups), fixtures_n)
+        few = f"{len(groups)} first attempts of {fixtures_n} fixtures, expected {FEWEST} of {FOLDS} at least"
+        return Comparison({}, "released", (few, "probe more"), len(groups), fixtures_n)
     predictions = {stage: pair.take(first) for stage, (pair, _) in held.items()}
     folds = folds_of(groups, seed)
     fair = {stage: _fair(stage, release.scales, one, folds) for stage, one in predictions.items()}
