@@ -19,12 +19,12 @@ def _positive(**options: float) -> None:
             raise ContractError(f"--{name.replace('_', '-')} {value:g}: expected a finite number above 0")
 
 
-def onnx(checkpoint: Annotated[Path, tyro.conf.Positional], out: Path = Path("models"), force: bool = False) -> None:
+def onnx(checkpoint: Annotated[Path, tyro.conf.Positional], out: Path, force: bool = False) -> None:
     """Write both networks in sequence and step form, each with its card, after checking parity with torch.
 
     Args:
         checkpoint: a ``checkpoint.pt`` of ``python -m training train``.
-        out: folder of the released models.
+        out: folder of the files; those of the same names are replaced.
         force: export even if the directions are no better than guessing; the card says so.
     """
     from export.onnx.to_onnx import export_checkpoint, why_untrained

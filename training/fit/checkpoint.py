@@ -103,7 +103,7 @@ class Checkpoint:
                 f"checkpoint {path}: its network sizes are invalid: {error.errors()[0]['msg']}"
             ) from error
         except Exception as error:  # torch raises pickle, zip and key errors of many kinds on a damaged file
-            raise ContractError(f"checkpoint {path} is not one of ours: {type(error).__name__}") from error
+            raise ContractError(f"checkpoint {path} is damaged or not one of ours: {type(error).__name__}") from error
 
     def weights_sha256(self) -> str:
         """Hash of the weights alone: it does not change with the figures or the commit."""

@@ -17,3 +17,13 @@ def test_what_cannot_be_measured_is_refused_at_once_by_name(command, named, monk
     monkeypatch.setattr(sys, "argv", ["export", *command.split()])
     assert main() == 2
     assert named in capsys.readouterr().err
+
+
+def test_an_export_without_a_folder_replaces_no_network(tmp_path, monkeypatch, capsys):
+    """Where it was typed, ``models`` holds the released ones."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["export", "onnx", "models/pressing/checkpoint.pt"])
+    with pytest.raises(SystemExit, match="2"):
+        main()
+    assert "--out" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
