@@ -11,6 +11,7 @@ from pydantic import JsonValue, ValidationError
 from torch import Tensor
 
 from service.contract import ContractError, Sensor
+from service.contract.frames import first_error
 from service.contract.model_card import Expectations, Pressing
 from training.config import differences
 from training.data.labels import CLASSES
@@ -99,9 +100,7 @@ class Checkpoint:
         except OSError as error:
             raise ContractError(f"cannot read the checkpoint {path}: {error.strerror}") from error
         except ValidationError as error:
-            raise ContractError(
-                f"checkpoint {path}: its network sizes are invalid: {error.errors()[0]['msg']}"
-            ) from error
+            raise ContractError(f"checkpoint {path}: {first_error(error)}") from error
         except Exception as error:  # torch raises pickle, zip and key errors of many kinds on a damaged file
             raise ContractError(f"checkpoint {path} is damaged or not one of ours: {type(error).__name__}") from error
 

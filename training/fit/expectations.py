@@ -38,7 +38,7 @@ def of_insertions(paths: Iterable[Path], given: Expectations) -> Expectations:
     Each path is a log of `python -m simulation evaluate`. Medians and median deviations are used: a few attempts that
     slipped far are no creep.
     """
-    steps = np.array([step for path in paths for row in _rows(path) for step in _steps(row)], np.float64)
+    steps = np.array([step for path in paths for step in _played(path)], np.float64)
     if len(steps) < FEWEST:
         raise ContractError(f"{len(steps)} pairs of attempts in these logs, expected at least {FEWEST}")
     before_mm, gone_mm, turned_deg, lever_mm = steps.T
@@ -57,6 +57,14 @@ def of_insertions(paths: Iterable[Path], given: Expectations) -> Expectations:
         "creep_theta_deg": theta_spread,
     }
     return Expectations.model_validate(given.model_dump() | measured)
+
+
+def _played(path: Path) -> list[tuple[float, float, float, float]]:
+    rows = _rows(path)
+    try:
+        return [step for row in rows for step in _steps(row)]
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise ContractError(f"{path}: expected the .insertions.jsonl of an evaluation, not {error!r}") from error
 
 
 def _rows(path: Path) -> list[dict[str, Any]]:

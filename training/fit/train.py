@@ -20,10 +20,10 @@ from service.contract import ContractError, Sensor
 from service.contract.model_card import Expectations
 from training.config import RunConfig, alone_in, pin, refuse_another
 from training.data.batches import Batch, frame_pairs
-from training.data.dataset import SPLITS, Source, Trials, refuse_empty_splits
+from training.data.dataset import SPLITS, Source, Trials
 from training.data.labels import CLASSES, class_of
 from training.data.pressed import Pressed
-from training.data.reading import Samples, decisions, epoch, load
+from training.data.reading import Samples, decisions, epoch, load, refuse_useless
 from training.fit import parallel
 from training.fit.checkpoint import Checkpoint
 from training.fit.device import on_device
@@ -173,7 +173,7 @@ def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
         with parallel.first_goes_first():
             refuse_another(folder, config)
             trials = load(config.data, config.network.kind, source)
-            refuse_empty_splits(trials.split)
+            refuse_useless(trials)
             grounds = trials.sha256 + (_start(config, trials.sensor).weights_sha256() if config.start_from else "")
             pin(folder, config, grounds)  # only now: a mistyped data folder must not claim the run's
         with alone_in(folder, first=parallel.first()):

@@ -57,6 +57,18 @@ def test_views_are_the_same_in_every_process_and_differ_from_each_other(pressed_
     assert first.fields.shape[1:] == (STEPS, 2, LATTICE.rows, LATTICE.columns, 2)
 
 
+@pytest.mark.parametrize(("axis", "named"), [("x_mm", "x"), ("theta_deg", "yaw")])
+def test_presses_of_one_error_alone_are_refused_before_the_training(config, axis, named):
+    """Their card would state a spread of 0, which no loader of the checkpoint accepts."""
+    source = down(20)
+    for trial in source.trials:
+        setattr(trial, axis, 3.0)
+    data = config.data.model_copy(update={"cache": config.data.cache + named})
+    with pytest.raises(ContractError, match=f"all training errors in {named} are the same"):
+        train(config.model_copy(update={"network": SMALL, "data": data}), source)
+    assert not (config.folder / "config.json").exists()
+
+
 def test_two_processes_may_fill_the_same_cache_at_once(pressed_source, config, tmp_path, monkeypatch):
     data = config.data.model_copy(update={"cache": str(tmp_path)})
     write = np.savez

@@ -65,7 +65,7 @@ def test_a_line_that_a_kill_truncated_is_left_out(tmp_path):
 def test_too_few_attempts_and_a_foreign_file_are_refused(tmp_path):
     with pytest.raises(ContractError, match="expected at least"):
         of_insertions([log_of(tmp_path / "few.jsonl", 0.3, 0.3, 0.0, np.random.default_rng(0), count=5)], USUAL)
-    for other in (b"no json\n", b"\xff\xfe\x00"):
+    for other in (b"no json\n", b"\xff\xfe\x00", b'{"trials": [{}, {}]}\n', b'{"trials": 5, "changes": {}}\n'):
         (tmp_path / "other.jsonl").write_bytes(other)
         with pytest.raises(ContractError, match=r"\.insertions\.jsonl of an evaluation"):
             of_insertions([tmp_path / "other.jsonl"], USUAL)
