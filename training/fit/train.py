@@ -265,15 +265,16 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     pressing, expectations = None, Expectations()
     if isinstance(trainer.trials, Pressed):
         pressing = learn_usual(trainer.network, trainer.trials, trainer.decided_steps)
-        errors = trainer.trials.error[trainer.trials.of("train")].astype(np.float64)
-        expectations = of_errors(errors, expectations)
+        expectations = of_errors(trainer.trials.error[trainer.trials.of("train")].astype(np.float64), expectations)
+    true = "" if pictures or pressing else "fields/"  # true fields do not validate a network that reads pictures
+    tables |= {f"joint/{name}": row for name, row in joint_tables.items()}
     checkpoint = Checkpoint(
         name=trainer.config.name,
         network=trainer.config.network,
         weights={name: value.detach().clone() for name, value in trainer.network.state_dict().items()},
         scales=scales,
         joint_scales=joint_scales,
-        figures=tables | {f"joint/{name}": row for name, row in joint_tables.items()},
+        figures={f"{true}{name}": row for name, row in tables.items()},
         training_data_sha256=trainer.trials.sha256,
         git_commit=commit(),
         run=trainer.config.settings(),

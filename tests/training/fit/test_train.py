@@ -1,6 +1,7 @@
 import pytest
 import torch
 
+from export.onnx.to_onnx import why_untrained
 from service.contract import ContractError, Sensor
 from tests.full_disk import files_of_at_most
 from tests.training.synthetic import SyntheticSource
@@ -21,9 +22,11 @@ def test_the_trunk_learns_a_learnable_motion(config):
     idle = StageConfig(epochs=0)
     network = NetworkConfig(trunk_width=8, feature_size=32, state_size=32)
     whole = config.model_copy(update={"data": data, "front": idle, "tune": idle, "trunk": stage, "network": network})
-    figures = train(whole, SyntheticSource(300)).figures["validation/all"]
+    checkpoint = train(whole, SyntheticSource(300))
+    figures = checkpoint.figures["fields/validation/all"]
     assert figures["accuracy"] > 0.7
     assert figures["rmse_x_mm"] < 2
+    assert not checkpoint.as_trained, "its eyes were never trained, and no picture was shown to it"
 
 
 def test_a_killed_run_resumes_to_the_same_weights(trained, config, source, monkeypatch):
@@ -122,6 +125,13 @@ def test_two_runs_are_not_trained_in_one_folder(cheap, source):
     with alone_in(cheap.folder), pytest.raises(ContractError, match="another process is training there"):
         train(cheap, source)
     assert train(cheap, source).weights
+
+
+def test_a_network_that_was_shown_no_picture_is_not_validated(cheap, source):
+    """Its figures on true fields look right, and its front may never have been trained."""
+    checkpoint = train(cheap, source)
+    assert checkpoint.figures["fields/validation/all"]["trials"] > 0
+    assert why_untrained(checkpoint) == "its directions were never validated"
 
 
 def test_a_damaged_config_is_named(cheap, source):
