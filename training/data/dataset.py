@@ -233,6 +233,7 @@ def reading(path: Path) -> Iterator[BinaryIO]:
 
 
 def write_table(path: Path, table: dict[str, NDArray[Any]]) -> None:
+    """Write arrays as `read_table` reads them."""
     with _whole(path) as temporary:
         np.savez(temporary, **table)  # type: ignore[arg-type]
 
