@@ -10,8 +10,7 @@ from simulation.scene.parts import HeldObject
 
 Array = NDArray[np.float64]
 
-NOTHING_MM = -1e3  # height where there is no surface
-STEEPEST = 0.95  # share of an arc's half width: the gel touches nothing beyond it
+STEEPEST = 0.95  # share of an arc's half width: it falls on straight beyond, as a cliff may leave no equilibrium
 
 
 class HeldSurface:
@@ -42,7 +41,8 @@ class HeldSurface:
         beyond = np.maximum(np.abs(x) - flat, 0.0)
         if incline > 0.0:
             return crest - incline * beyond, np.where(beyond > 0.0, -incline * np.sign(x), 0.0)
-        share = beyond / radius_x
-        root = np.sqrt(1.0 - np.minimum(share, STEEPEST) ** 2)
-        height = np.where(share < STEEPEST, crest - radius_y * (1.0 - root), NOTHING_MM)
-        return height, np.where(share < STEEPEST, -np.sign(x) * radius_y * share / (radius_x * root), 0.0)
+        share = np.minimum(beyond / radius_x, STEEPEST)
+        root = np.sqrt(1.0 - share**2)
+        slope = radius_y * share / (radius_x * root)
+        height = crest - radius_y * (1.0 - root) - slope * np.maximum(beyond - STEEPEST * radius_x, 0.0)
+        return height, -np.sign(x) * slope

@@ -17,7 +17,8 @@ from numba import njit
 from simulation.physics.kernels.linear import Vector
 from simulation.physics.kernels.records import NODE, Records
 
-FAR_MM, FACE_FAR_MM = 1e3, 1e6
+FACE_FAR_MM = 1e6
+STEEPEST = 0.95  # share of an arc's half width: it falls on straight beyond, as a cliff may leave no equilibrium
 SLIP_MARGIN = 1e-7
 
 
@@ -36,18 +37,20 @@ def make_nodes(rows: int, columns: int, height_mm: float, width_mm: float, crown
 
 @njit(cache=True)
 def surface(profile: Any, x: float) -> tuple[float, float]:
-    """Height and slope of the held surface at x, mm; -FAR_MM where there is none."""
+    """Height and slope of the held surface at x, mm."""
     beyond = abs(x) - profile[1]
     if beyond <= 0.0:
         return profile[0], 0.0
     sign = 1.0 if x > 0.0 else -1.0
     if profile[4] > 0.0:
         return profile[0] - profile[4] * beyond, -profile[4] * sign
-    ratio = beyond / profile[2]
-    if ratio >= 0.95:
-        return -FAR_MM, 0.0
+    ratio = min(beyond / profile[2], STEEPEST)
     root = math.sqrt(1.0 - ratio * ratio)
-    return profile[0] - profile[3] * (1.0 - root), -sign * profile[3] * ratio / (profile[2] * root)
+    slope = profile[3] * ratio / (profile[2] * root)
+    height = profile[0] - profile[3] * (1.0 - root)
+    if ratio == STEEPEST:
+        height -= slope * (beyond - STEEPEST * profile[2])
+    return height, -sign * slope
 
 
 @njit(cache=True)

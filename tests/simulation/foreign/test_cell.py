@@ -142,6 +142,12 @@ def test_every_held_face_comes_to_rest(name):
     assert state.residual_n <= TOLERANCE_N
 
 
+@pytest.mark.parametrize("seed", [3, 5, 6, 8])
+def test_an_object_narrower_than_the_pads_comes_to_rest_askew_between_them(seed):
+    cell = ForeignCell(load_scene("rectangle", object__size_x_mm=12.0), seed, COARSE)
+    assert cell.regrasp(8.0, 5.0).residual_n <= TOLERANCE_N
+
+
 def test_a_centred_object_is_inserted_by_the_common_ground_truth():
     cell = held(x_mm=0.3)
     assert lowered(cell, 20.0).inserted

@@ -33,6 +33,14 @@ def test_a_high_grip_on_rough_blocks_has_its_equilibrium(x_mm: float, theta_deg:
     assert beyond_cone <= 1e-9
 
 
+@pytest.mark.parametrize("tier", ["bristle", "layer"])
+@pytest.mark.parametrize("seed", [3, 5, 6, 8])
+def test_an_object_narrower_than_the_pads_comes_to_rest_askew_between_them(tier: str, seed: int) -> None:
+    """Where the pads end beside an upright wall: a node that loses touch there takes its share of the load with it."""
+    cell = QuasiStaticCell(load_scene("rectangle", object__size_x_mm=12.0, gel__tier=tier), seed)
+    assert cell.regrasp(8.0, 5.0).residual_n <= cell.scene.numerics.residual_n
+
+
 def test_an_object_that_snaps_over_slowly_is_followed_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     cell = QuasiStaticCell(load_scene("rectangle", gel__tier="layer", **UPRIGHT))
     pads = cell.layer
