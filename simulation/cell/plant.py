@@ -17,17 +17,17 @@ from simulation.optics.renderer import Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.effects import dropped_share
 from simulation.scene.scene import Scene
-from simulation.scene.worlds import load_scene, load_world
+from simulation.scene.worlds import freed, load_scene, load_world
 
 Image = NDArray[np.uint8]
 LIVE_RESIDUAL_N = 1e-4  # far below what a camera can show; solving to 1e-7 N may miss a camera tick
 
 
 def load(options: CellOptions) -> Scene:
-    """The scene of the options, blocks free; raises SceneError."""
-    changes: dict[str, object] = {"blocks.free": True, "numerics.residual_n": LIVE_RESIDUAL_N}
+    """The scene of the options, the blocks free unless object or world fix them; raises SceneError."""
+    changes: dict[str, object] = {"numerics.residual_n": LIVE_RESIDUAL_N}
     changes |= {"camera.fps": options.fps} if options.fps else {}
-    scene = load_scene(options.object)
+    scene = freed(load_scene(options.object))
     if options.world is not None:
         scene = load_world(options.world).around(scene)
     return scene.varied(changes)

@@ -12,7 +12,7 @@ from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.scene import Scene
 from simulation.scene.state import Cell, CellState
-from simulation.scene.worlds import World, load_scene
+from simulation.scene.worlds import World, freed, load_scene
 
 Perception = Literal["pictures", "fields"]
 Who = Literal["belief", "heuristic", "oracle"]
@@ -71,9 +71,7 @@ class Job:
 
     def build_scene(self) -> Scene:
         """The object in its world; the blocks are free unless its file or the world fixes them. Raises SceneError."""
-        scene = load_scene(self.scene)
-        free = {} if "free" in scene.blocks.model_fields_set else {"blocks.free": True}
-        return scene.varied({**free, **self.changes})
+        return freed(load_scene(self.scene)).varied(self.changes)
 
     def measured_reach_mm(self, scene: Scene) -> float | None:
         """The gel's shear reach as the client sends it, mm; None if it was not measured, or cannot be."""

@@ -147,6 +147,11 @@ def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
     return parsed(data, str(path))
 
 
+def freed(scene: Scene) -> Scene:
+    """An object's scene with free blocks, as an insertion meets them, unless the object's file fixes them."""
+    return scene if "free" in scene.blocks.model_fields_set else scene.varied({"blocks.free": True})
+
+
 def fill(data: dict[str, Any]) -> None:
     """Fill in gap and range of start errors where the object's file omits them."""
     try:

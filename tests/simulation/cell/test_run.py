@@ -13,9 +13,9 @@ import pytest
 
 from reporting.files import read_rows
 from simulation.__main__ import main
-from simulation.cell import run, run_report
+from simulation.cell import plant, run, run_report
 from simulation.cell.children import Child, ChildError
-from simulation.cell.options import warn_of_keys_without_effect
+from simulation.cell.options import CellOptions, warn_of_keys_without_effect
 from simulation.scene.worlds import load_scene, training_objects
 
 
@@ -41,6 +41,16 @@ def test_a_gap_that_nothing_misses_has_a_start_too(tmp_path):
     )
     start = run.start_of(run.RunOptions(object=str(tmp_path / "wide.toml"), models=tmp_path))
     assert abs(start.x_mm) <= 15.0
+
+
+def test_blocks_are_free_unless_the_object_or_the_world_fixes_them(tmp_path):
+    (tmp_path / "fixed.toml").write_text("[blocks]\nfree = false\n")
+    (tmp_path / "box.toml").write_text(
+        '[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 50.0\n[blocks]\nfree = false\n'
+    )
+    assert plant.load(CellOptions()).blocks.free
+    assert not plant.load(CellOptions(world=str(tmp_path / "fixed.toml"))).blocks.free
+    assert not plant.load(CellOptions(object=str(tmp_path / "box.toml"))).blocks.free
 
 
 def test_keys_of_a_world_that_only_lock_step_plays_are_named(tmp_path, capsys):
