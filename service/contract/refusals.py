@@ -7,6 +7,8 @@ from typing import Any, cast
 from pydantic import BaseModel, ValidationError
 
 SIGNS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
+UNION = {"int", "float"}  # which members of a union refused a value is part of an error's path, but no key
+WORDS = {"model_type": "expected a table of keys", "tuple_type": "expected a list of values in brackets"}
 
 
 def nearest(name: str, allowed_names: Iterable[str]) -> str:
@@ -50,15 +52,17 @@ def describe(error: ValidationError, model: type[BaseModel], above: str = "", *,
     """
     wrong = error.errors()
     first = next((one for one in wrong if one["type"] == "extra_forbidden"), wrong[0])
-    key = ".".join(str(part) for part in (above, *first["loc"]) if part != "")
-    *parents, last = first["loc"] or ("",)
+    keys = tuple(part for part in first["loc"] if part not in UNION)
+    key = ".".join(str(part) for part in (above, *keys) if part != "")
+    *parents, last = keys or ("",)
     table = _table(model, parents)
     if first["type"] == "extra_forbidden":
         what = f"unknown key{nearest(str(last), table.model_fields if table else ())}"
     else:
         bounds = allowed(table, str(last))
-        number = "a whole number" if first["type"].startswith("int_") else "a number"
-        what = f"expected {number} {bounds}" if bounds else first["msg"].removeprefix("Value error, ")
+        number = "a whole number" if first["type"].startswith("int_") and keys == first["loc"] else "a number"
+        words = WORDS.get(first["type"], first["msg"].removeprefix("Value error, "))
+        what = f"expected {number} {bounds}" if bounds else words
         if bounds and first["type"] == "missing":
             what = f"missing, {what}"
     given = "" if secret or first["type"] in {"value_error", "missing"} else f" (given: {first['input']!r})"

@@ -189,5 +189,6 @@ def _refused(task: Task, cause: str) -> Row:
 def _line(row: Row, scene: Scene) -> str:
     paper = f"; the paper's real robot: {scene.paper.mean_trials:g}" if scene.paper else ""
     inserted = f"{row['inserted']}/{row['insertions']} inserted, mean trials {row['mean_trials']:.2f}"
-    ended = "".join(f"\n  {count} x {reason}" for reason, count in row["reasons"].items())
+    wrong = {"claimed, but not inserted": row["claimed_wrongly"]} if row["claimed_wrongly"] else {}
+    ended = "".join(f"\n  {count} x {reason}" for reason, count in (wrong | row["reasons"]).items())
     return f"{row['world']}, {row['object']}: {inserted} (simulated{paper}){ended}"

@@ -13,7 +13,7 @@ from simulation.optics.renderer import Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.effects import EFFECTS, decide
 from simulation.scene.scene import Scene
-from simulation.scene.worlds import load_scene
+from simulation.scene.worlds import World, load_scene, load_world
 
 IN_THE_PHYSICS = (
     *("gravity", "inertia", "edge_friction", "free_blocks", "gel_coupling"),
@@ -62,8 +62,11 @@ def explain(arguments: list[str]) -> int:
     """Print each effect of a scene: on or off, why, and what it costs here."""
     parser = argparse.ArgumentParser(prog="tactile-insertion explain", description=__doc__)
     parser.add_argument("scene", help="name of an object (rectangle, circle, ...) or a TOML file")
-    scene = load_scene(parser.parse_args(arguments).scene)
-    gap = f"gap {scene.blocks.gap_mm} mm, clearance {scene.clearance_mm:.2f} mm a side"
+    parser.add_argument("--world", help="a world file (default: the project's own cell)")
+    given = parser.parse_args(arguments)
+    world = load_world(given.world) if given.world else World()
+    scene = world.around(load_scene(given.scene))
+    gap = f"gap {scene.blocks.gap_mm:g} mm, clearance {scene.clearance_mm:.2f} mm a side"
     print(f"{scene.name}: {gap}, tier {scene.gel.tier}")
     for effect in EFFECTS:
         on, why = decide(effect, scene)

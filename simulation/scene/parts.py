@@ -12,13 +12,15 @@ from simulation.scene import shapes
 
 Switch = Literal["auto", "on", "off"]
 Margin = Annotated[float, Field(ge=0.0, le=1000.0)]
+Listed = Field(strict=False)  # TOML has lists, no tuples; their members are strict
+Corner = Annotated[tuple[float, float], Listed]
 HELD = ("held_size_x_mm", "held_size_y_mm", "held_corner_radius_mm")
 
 
 class Part(BaseModel):
-    """Base of all parts of a scene: frozen; unknown keys are errors."""
+    """Base of all parts of a scene: frozen; unknown keys are errors, and so are numbers in quotes or true for 1."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
 
 class HeldObject(Part):
@@ -31,7 +33,7 @@ class HeldObject(Part):
     """
 
     shape: shapes.Outline
-    vertices_mm: tuple[tuple[float, float], ...] | None = Field(default=None, min_length=3, max_length=32)
+    vertices_mm: tuple[Corner, ...] | None = Field(default=None, min_length=3, max_length=32, strict=False)
     size_x_mm: float = Field(gt=5.0, le=200.0)
     size_y_mm: float = Field(gt=5.0, le=110.0)
     corner_radius_mm: float = Field(default=0.0, ge=0.0, le=50.0)
@@ -49,6 +51,8 @@ class HeldObject(Part):
     @classmethod
     def _sizes_of_a_polygon(cls, data: Any) -> Any:
         if not (isinstance(data, dict) and data.get("vertices_mm")):
+            if isinstance(data, dict) and data.get("shape") == "polygon":
+                raise ValueError("vertices_mm: missing, expected the corners [x, y] of a polygon")
             return data
         x, y = 0.0, 0.0
         for radius_mm in (0.0, data.get("corner_radius_mm", 0.0)):
@@ -142,7 +146,7 @@ class Gel(Part):
     shear_modulus_n_per_mm2: float = Field(default=0.1, ge=0.005, le=5.0)
     normal_ratio: float = Field(default=3.0, ge=0.5, le=50.0)
     poisson_ratio: float | None = Field(default=None, ge=0.0, le=0.4999)
-    margin_mm: tuple[Margin, Margin] | None = None
+    margin_mm: Annotated[tuple[Margin, Margin], Listed] | None = None
     relaxation_share: float = Field(default=0.0, ge=0.0, le=1.0)
     relaxation_s: float = Field(default=1.0, ge=1e-3, le=1e4)
     friction: float = Field(default=0.8, ge=0.0, le=2.0)

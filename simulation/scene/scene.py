@@ -82,9 +82,9 @@ class Scene(Part):
 
     @model_validator(mode="after")
     def _frames_can_exist(self) -> Self:
-        exposure_ms, period_ms = self.camera.exposure_ms, 1000.0 / self.fps
-        if exposure_ms > period_ms:
-            raise ValueError(f"camera.exposure_ms: {exposure_ms:g} is longer than a frame's {period_ms:g}")
+        for name in ("exposure_ms", "readout_ms"):
+            if (stated_ms := getattr(self.camera, name)) > (period_ms := 1000.0 / self.fps):
+                raise ValueError(f"camera.{name}: {stated_ms:g} is longer than a frame's {period_ms:g}")
         return self
 
     @model_validator(mode="after")
@@ -108,7 +108,8 @@ class Scene(Part):
         if self.gel.tier == "layer" and self.effects.gel_coupling == "on":
             raise ValueError("effects.gel_coupling: the layer tier couples by itself; expected 'auto' or 'off'")
         if body.held_profile[1] + body.held_profile[2] < 3.0:
-            raise ValueError("object.held_size_x_mm: the held section must be at least 6 mm wide")
+            name = "held_size_x_mm" if body.held_shape else "size_x_mm"
+            raise ValueError(f"object.{name}: the held section must be at least 6 mm wide")
         return self
 
     @property

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
-from simulation.scene.parts import Part
+from simulation.scene.parts import Listed, Part
 
 Pose = tuple[float, float, float, float]
 """TCP x, y, z in mm and yaw in deg."""
@@ -40,16 +40,16 @@ class Unstated(Part):
     arm opposite to the command in x or yaw, seen from the approach.
     """
 
-    tcp_offset_mm: tuple[Shift, Shift] = (0.0, 0.0)
+    tcp_offset_mm: Annotated[tuple[Shift, Shift], Listed] = (0.0, 0.0)
     frame_yaw_deg: float = Field(default=0.0, ge=-30.0, le=30.0)
-    camera_scale: tuple[Scale, Scale] = (1.0, 1.0)
-    camera_roll_deg: tuple[Roll, Roll] = (0.0, 0.0)
+    camera_scale: Annotated[tuple[Scale, Scale], Listed] = (1.0, 1.0)
+    camera_roll_deg: Annotated[tuple[Roll, Roll], Listed] = (0.0, 0.0)
     stop_lag_s: float = Field(default=0.03, ge=0.0, le=0.5)
     blocks_up_mm: float = Field(default=0.0, ge=-20.0, le=20.0)
     told_gap_error_mm: float = Field(default=0.0, ge=-20.0, le=20.0)
     told_height_error_mm: float = Field(default=0.0, ge=-50.0, le=50.0)
     swapped_fingers: bool = False
-    mirrored: tuple[bool, bool] = (False, False)
+    mirrored: Annotated[tuple[bool, bool], Listed] = (False, False)
     x_sign: Sign = 1
     yaw_sign: Sign = 1
 

@@ -171,6 +171,15 @@ def test_figures_of_the_paper_are_those_of_the_objects_own_file(worlds, tmp_path
     assert "good, box: 2/2 inserted, mean trials 1.00 (simulated; the paper's real robot: 3.5)" in shown
 
 
+def test_a_false_claim_is_shown_with_what_was_refused(worlds, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(campaign, "play", lambda task: as_wired(task) | {"inserted": False, "claimed": True})
+    models = tiny_models.write_models(tmp_path / "models")
+    evaluated(worlds[:1], models, tmp_path / "rows.json", "--objects", "circle")
+    shown = capsys.readouterr().out
+    assert "good, circle: 0/2 inserted, mean trials 16.00 (simulated" in shown
+    assert "\n  2 x claimed, but not inserted\n" in shown
+
+
 @pytest.mark.slow
 def test_swapped_fingers_are_named_by_what_the_cell_really_feels(worlds, tmp_path):
     rows = evaluated(worlds, released_models(), tmp_path / "rows.json", "--objects", "rectangle")

@@ -3,6 +3,7 @@
 import numpy as np
 
 from reporting.machine import best_cpu_ms
+from simulation.cli import explain
 from simulation.cli.explain import frame_ms
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
@@ -13,3 +14,12 @@ def test_a_frame_is_timed_with_the_gel_in_motion() -> None:
     scene = load_scene("circle")
     renderer, still = Renderer(Appearance.draw(scene, "left", 0)), np.full((20, 21, 3), 0.04, np.float32)
     assert frame_ms(scene) > 2.0 * best_cpu_ms(lambda: renderer.raw(still, 1), 10)
+
+
+def test_the_effects_of_an_object_in_a_world_are_explained(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(explain, "cost", lambda *_: "")
+    (tmp_path / "creeping.toml").write_text("[gel]\nrelaxation_share = 0.3\n")
+    explain.explain(["rectangle"])
+    assert "off relaxation" in capsys.readouterr().out
+    explain.explain(["rectangle", "--world", str(tmp_path / "creeping.toml")])
+    assert "on  relaxation        gel.relaxation_share is 0.3" in capsys.readouterr().out
