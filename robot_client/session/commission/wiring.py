@@ -91,7 +91,8 @@ def _too_low(signs: tuple[Probe, ...]) -> tuple[str, ...]:
     below_mm = min((probe.below_mm for probe in signs if probe.below_mm is not None), default=0.0)
     if below_mm <= LOW_MM:
         return ()
-    return (f"the block tops are up to {below_mm:.1f} mm lower than taught, or the object hangs so much higher",)
+    low = f"the block tops are up to {below_mm:.1f} mm lower than taught"
+    return (f"{low}, or the object hangs so much higher, or the pictures come late",)
 
 
 def _felt_x(probe: Probe) -> tuple[float | None, float | None]:

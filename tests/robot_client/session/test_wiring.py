@@ -72,6 +72,7 @@ def test_blocks_that_are_lower_than_taught_are_named_because_full_depth_would_en
     probes = zip(answers(), below_mm, strict=True)
     signs = tuple(probe.model_copy(update={"below_mm": below}) for probe, below in probes)
     assert [cause.partition(",")[0] for cause in mistakes(signs)] == [named] * bool(named)
+    assert all("or the pictures come late" in cause for cause in mistakes(signs)), "they make a touch seem lower"
     assert dangerous_mistakes(signs) == mistakes(signs)
 
 
