@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import Field, ValidationError
 
 from service.contract import ContractError
-from service.contract.refusals import describe, nearest
+from service.contract.refusals import describe, nearest, reason
 from service.contract.toml import read_toml
 from simulation.scene.parts import Blocks, Camera, Gel, Grasp, HeldObject, Part
 from simulation.scene.scene import Scene, SceneError, parsed, put
@@ -134,6 +134,8 @@ def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
         hint = nearest(str(name_or_path), object_names())
         raise SceneError(f"no object {str(name_or_path)!r}: expected a TOML file or the name of an object{hint}")
     data = _read(path)
+    if "world" in data:
+        raise SceneError(f"{path}: world: this table stands in a world's file, not in the object's")
     data.setdefault("name", path.stem)
     for key, value in overrides.items():
         put(data, key.replace("__", "."), value)
@@ -172,7 +174,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         return read_toml(path)
     except (OSError, ContractError) as error:
-        raise SceneError(str(error)) from error
+        raise SceneError(reason(error)) from error
 
 
 @cache

@@ -132,12 +132,18 @@ def test_a_world_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, text:
         (BOX + "[blocks]\ngap_mm = 60.0\n", "blocks.gap_mm: 60.0 must exceed object.size_x_mm 60.0"),
         ('object = "box"\n', "object: expected a table of keys"),
         ("", "object: Field required"),
+        (BOX + "[world]\nstop_lag_s = 0.1\n", "world: this table stands in a world's file, not in the object's"),
     ],
 )
 def test_an_object_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, text: str, named: str) -> None:
     path = write(tmp_path, "odd", text)
     with pytest.raises(SceneError, match=f"{re.escape(str(path))}.*{re.escape(named)}"):
         load_scene(path)
+
+
+def test_a_world_that_is_not_there_is_named_in_words(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=f"^No such file or directory: {re.escape(str(tmp_path / 'none'))}$"):
+        load_world(tmp_path / "none")
 
 
 @pytest.mark.parametrize(
