@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from simulation.scene.scene import Scene
-from simulation.scene.worlds import TOP_LEVEL, load_world
+from simulation.scene.worlds import TOP_LEVEL, load_scene, load_world
 
 MOST_DRAWS = 10_000  # of a start that collides; a wide gap has none
-LOCKSTEP_ONLY = ("camera.latency_ms", "motion.descent_speed_mm_s")
+LOCKSTEP_ONLY = ("camera.latency_ms", "speed_mm_s")  # as a scene calls them
 _RANGES = {"x_mm": (-60.0, 60.0), "theta_deg": (-45.0, 45.0), "egm_lag_ms": (1.0, 500.0)}
 
 
@@ -71,15 +71,22 @@ class CellOptions:
                 raise CellError(f"--{name.replace('_', '-')}-port: expected 0 to 65535")
 
 
-def warn_of_keys_without_effect(path: str | None) -> None:
-    """Name on stderr the keys of a world file that a live cell does not play: only `evaluate` does."""
-    if path is None:
-        return
-    world = load_world(path)
-    keys = [key for key in LOCKSTEP_ONLY if TOP_LEVEL.get(key, key) in world.changes]
-    keys += [f"world.{key}" for key in world.unstated.model_dump(exclude_defaults=True)]
+def warn_of_keys_without_effect(world: str | None, scene: str) -> None:
+    """Name on stderr the keys of a world's and an object's file that a live cell does not play: `evaluate` does."""
+    of_object = load_scene(scene)
+    stated = of_object.model_fields_set | {f"camera.{key}" for key in of_object.camera.model_fields_set}
+    _warn(scene, [key for key in LOCKSTEP_ONLY if key in stated])
+    if world is not None:
+        read = load_world(world)
+        unstated = [f"world.{key}" for key in read.unstated.model_dump(exclude_defaults=True)]
+        _warn(world, [key for key in LOCKSTEP_ONLY if key in read.changes] + unstated)
+
+
+def _warn(path: str, keys: list[str]) -> None:
+    written = {scenes: files for files, scenes in TOP_LEVEL.items()}
     if keys:
-        print(f"{path}: without effect in real time: {', '.join(keys)}; `evaluate` plays them", file=sys.stderr)
+        named = ", ".join(written.get(key, key) for key in keys)
+        print(f"{path}: without effect in real time: {named}; `evaluate` plays them", file=sys.stderr)
 
 
 def draw_start(scene: Scene, seed: int) -> tuple[float, float]:

@@ -19,7 +19,7 @@ def cell(arguments: list[str]) -> int:
     options = tyro.cli(CellOptions, args=arguments, prog="tactile-insertion cell", description=cell.__doc__)
     options.check()
     scene = load(options)
-    warn_of_keys_without_effect(options.world)
+    warn_of_keys_without_effect(options.world, options.object)
     options.out.mkdir(parents=True, exist_ok=True)  # fails before sockets and threads exist
     sockets = bind_all(options)
     return asyncio.run(serve(options, build(scene, options), sockets))

@@ -32,7 +32,7 @@ def run(arguments: list[str]) -> int:
     """Run the whole loop: exit 0 if the insertion succeeded, 1 if it did not, 2 on invalid input."""
     options = tyro.cli(RunCommand, args=arguments, prog="tactile-insertion run", description=run.__doc__)
     start = start_of(options)
-    warn_of_keys_without_effect(options.world)
+    warn_of_keys_without_effect(options.world, options.object)
 
     def work() -> int:
         with contextlib.redirect_stdout(sys.stderr) if options.json else contextlib.nullcontext():
@@ -48,7 +48,7 @@ def demo(arguments: list[str]) -> int:
     """Insert one object after another until Ctrl-C, with the page; exit 1 if a process failed."""
     options = tyro.cli(DemoOptions, args=arguments, prog="tactile-insertion demo", description=demo.__doc__)
     start = start_of(options)
-    warn_of_keys_without_effect(options.world)
+    warn_of_keys_without_effect(options.world, options.object)
     folder = _folder(options, start)
 
     def work() -> int:

@@ -67,6 +67,8 @@ def draw_cell(
     for _ in range(MOST_DRAWS):
         tables, body = drawn.draw_world(rng), {} if held else drawn.draw_object(rng)
         tables["gel"]["tier"] = "layer" if rng.random() < LAYER_SHARE else "bristle"
+        if "normal_ratio" in (known or {}).get("gel", {}):
+            del tables["gel"]["poisson_ratio"]  # a drawn one would replace what is known
         for table, values in (known or {}).items():
             tables[table] = {**tables.get(table, {}), **values}
         try:

@@ -53,16 +53,21 @@ def test_blocks_are_free_unless_the_object_or_the_world_fixes_them(tmp_path):
     assert not plant.load(CellOptions(object=str(tmp_path / "box.toml"))).blocks.free
 
 
-def test_keys_of_a_world_that_only_lock_step_plays_are_named(tmp_path, capsys):
+def test_keys_that_only_lock_step_plays_are_named(tmp_path, capsys):
     (tmp_path / "odd.toml").write_text(
         "[camera]\nlatency_ms = 50\nnoise_grey = 3.0\n[motion]\ndescent_speed_mm_s = 5\n"
         "[world]\nswapped_fingers = true\nx_sign = 1\n"
     )
-    warn_of_keys_without_effect(str(tmp_path / "odd.toml"))
+    warn_of_keys_without_effect(str(tmp_path / "odd.toml"), "circle")
     shown = capsys.readouterr().err
     assert "real time: camera.latency_ms, motion.descent_speed_mm_s, world.swapped_fingers; `evaluate` plays" in shown
-    warn_of_keys_without_effect(None)
+    warn_of_keys_without_effect(None, "circle")
     assert not capsys.readouterr().err
+    (tmp_path / "slow.toml").write_text(
+        '[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 50.0\n[motion]\ndescent_speed_mm_s = 5.0\n'
+    )
+    warn_of_keys_without_effect(None, str(tmp_path / "slow.toml"))
+    assert "slow.toml: without effect in real time: motion.descent_speed_mm_s; `evaluate`" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,8 @@ def test_around_a_cell_what_is_known_is_kept_and_the_rest_is_drawn(tmp_path: Pat
     assert {(cell.scene.grasp.force_n, cell.scene.grasp.height_mm) for cell in cells} == {(21.5, 33.0)}
     assert all(cell.scene.object == circle.object for cell in cells)
     assert len({cell.scene.gel.shear_modulus_n_per_mm2 for cell in cells}) == 5
+    stiff = draw_fixture(circle, plan(tmp_path, known={"gel": {"normal_ratio": 20.0}}), 0)[0].scene
+    assert (stiff.gel.normal_ratio, stiff.gel.poisson_ratio) == (20.0, None), "a drawn ratio would replace it"
     with pytest.raises(SceneError, match="fits to what is known"):
         draw_fixture(circle, plan(tmp_path, known={"grasp": {"height_mm": 1e6}}), 0)
 
