@@ -82,9 +82,9 @@ class Scene(Part):
 
     @model_validator(mode="after")
     def _frames_can_exist(self) -> Self:
-        for name in ("exposure_ms", "readout_ms"):
-            if (stated_ms := getattr(self.camera, name)) > (period_ms := 1000.0 / self.fps):
-                raise ValueError(f"camera.{name}: {stated_ms:g} is longer than a frame's {period_ms:g}")
+        exposure_ms, period_ms = self.camera.exposure_ms, 1000.0 / self.fps
+        if exposure_ms > period_ms:
+            raise ValueError(f"camera.exposure_ms: {exposure_ms:g} is longer than a frame's {period_ms:g}")
         return self
 
     @model_validator(mode="after")
