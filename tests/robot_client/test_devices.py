@@ -213,7 +213,7 @@ def test_a_module_that_is_no_device_is_refused_by_the_rehearsal(config, capsys, 
         ("[gripper]\nforce_limit = 3", "gripper.force_limit: unknown key; did you mean 'force_limit_n'?"),
         ("[robot.rws]\nurls = 3", "robot.rws.urls: unknown key; did you mean 'url'?"),
         ('[robot]\ndevice = "abb_rapid"\nbind = "x"', "robot.bind: unknown key; allowed: connect_timeout_s"),
-        ("gripper = 3", "gripper: Input should be an object"),
+        ("gripper = 3", "gripper: expected a table of keys"),
         ("[griper]\nport = 3", "griper: unknown key; did you mean 'gripper'?"),
     ],
 )
