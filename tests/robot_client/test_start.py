@@ -18,7 +18,7 @@ MUTE_RWS = {
     "robot": {"rws": {"request_timeout_s": 0.3, "stop_timeout_s": 0.3}}
 }  # only what never answers is given up soon
 MUTE_EGM = {"robot": {"ready_timeout_s": 0.3}}
-MUTE_GRIPPER = {"gripper": {"reply_timeout_s": 1.0}}  # as it ships; connecting takes its part of it
+MUTE_GRIPPER = {"gripper": {"reply_timeout_s": 1.0}}  # as it ships: on a busy machine connecting alone may take 0.3 s
 PATIENT = {"gripper": {"silence_s": 10.0}}  # a machine that stands still for a second is not what these are about
 
 
