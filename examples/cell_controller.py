@@ -76,6 +76,7 @@ class Task:
     """What is to be inserted; ``stop_lag_s`` is how long your arm goes on after `stop`, measured.
 
     ``name`` is that of this insertion, a new one each time.
+    ``neighbours_stay`` states that no press pushes aside what stands beside the gap; else nothing is inserted after one.
     ``continues`` names the insertion of the same object that a person has taken out of the hand and put back upright.
     """
 
@@ -85,6 +86,7 @@ class Task:
     grasp_height_mm: float | None = None
     speed_mm_s: float = 10.0
     stop_lag_s: float = 0.04
+    neighbours_stay: bool = False
     continues: str | None = None
 
     @property
@@ -230,6 +232,7 @@ def _attempt(arm: Arm, service: Service, task: Task, attempt: int) -> Message:
         expected_depth_mm=task.depth_mm,
         grasp_height_mm=task.grasp_height_mm,
         gripper_width_mm=arm.width_mm(),
+        neighbours_stay=task.neighbours_stay,
     )
     armed = service.wait("armed", "refused", timeout_s=READY_S)
     if armed["type"] == "refused":

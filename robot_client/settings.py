@@ -46,6 +46,7 @@ class Task(Contract):
     tops_level_mm: float | None = Field(
         default=None, ge=0, le=10
     )  # how level the tops on both sides are; None: unknown
+    neighbours_stay: bool = False  # no press pushes aside what stands beside the gap; False: unknown, or it may
     expected_depth_mm: float = Field(default=25.0, gt=0, le=1000)
     depth_tolerance_mm: Positive = 1.0
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)  # deeper for an object pushed up in the hand: if free

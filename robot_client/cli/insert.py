@@ -34,6 +34,7 @@ def make_plan(
         clearance_mm=task.approach_clearance_mm,
         gap_width_mm=task.gap_width_mm,
         tops_level_mm=task.tops_level_mm,
+        neighbours_stay=task.neighbours_stay,
         grasp_height_mm=task.grasp_height_mm,
         grip_n=task.grip_n,
         shear_reach_mm=task.shear_reach_mm,

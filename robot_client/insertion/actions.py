@@ -114,6 +114,7 @@ def arm(state: State, target: WorkPose, at_s: float) -> Result:
         until_slip=plan.until_slip and plan.only_probes,
         tilt_deg=target.tilt_deg,
         tops_level_mm=plan.tops_level_mm if plan.signs_known else None,
+        neighbours_stay=plan.neighbours_stay,
     )
     deadline_s = at_s + plan.timeouts.arming_s
     state = replace(state, phase=Phase.ARMING, attempt=attempt, arms_again=False, armed=target, deadline_s=deadline_s)

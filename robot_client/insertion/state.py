@@ -66,6 +66,7 @@ class Plan(Contract):
     for regrasping an object that has turned in the hand. ``gels``: gels with which the cell was commissioned.
     ``signs_known``: whether a commissioning has shown which way each finger sees a turn; only then may the service ask
     to tilt the tool. ``tops_level_mm``: how level the tops on both sides of the gap are, see `wire.Arm`.
+    ``neighbours_stay``: no press pushes aside what stands beside the gap.
 
     ``pause_s``: time within which a descent whose lease has ended may be resumed; 0 if the arm cannot stop and go on. A
     probe ends above the gap again after its first decision, whatever that is: it follows no correction. ``until_slip``:
@@ -90,6 +91,7 @@ class Plan(Contract):
     grip_n: float | None = Field(default=None, gt=0, le=1000)
     shear_reach_mm: float | None = Field(default=None, gt=0, le=100)
     tops_level_mm: float | None = Field(default=None, ge=0, le=10)
+    neighbours_stay: bool = False
     expected_depth_mm: float = Field(gt=0, le=1000)
     depth_tolerance_mm: float = 1.0
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)

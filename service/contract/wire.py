@@ -109,11 +109,10 @@ class LearnOpen(_Message):
 class Arm(_Message):
     """The arm stands still above the gap and holds the object: take the reference and watch for slip.
 
-    ``grasp_height_mm``: of the TCP above the blocks' tops when the object touches them, the lever arm of the edge's
-    friction. ``gripper_width_mm``: between the fingers. ``grip_n``: their force. ``shear_reach_mm``: how far the gel
-    shears before it slides. None if unknown. ``press_mm``: how far to press after the touch; with ``until_slip`` until
-    the gel slides, to measure it. ``tilt_deg``: of the tool, see `Straighten`. ``tops_level_mm``: by how much the tops
-    on both sides of the gap may differ; None if unknown, or if nobody has checked the fingers' signs.
+    ``grasp_height_mm``: of the TCP above the blocks' tops at the touch. ``gripper_width_mm``: between the fingers.
+    ``grip_n``: their force. ``shear_reach_mm``: how far the gel shears before it slides. ``press_mm``: how far to press
+    after the touch, or ``until_slip``. ``tilt_deg``: of the tool, see `Straighten`. ``tops_level_mm``: largest step
+    between the tops beside the gap; None with unchecked signs. ``neighbours_stay``: no press moves what stands there.
     """
 
     type: Literal["arm"] = "arm"
@@ -128,6 +127,7 @@ class Arm(_Message):
     until_slip: bool = False
     tilt_deg: float = Field(default=0.0, ge=-10, le=10)
     tops_level_mm: float | None = Field(default=None, ge=0, le=10)
+    neighbours_stay: bool = False
 
 
 class Descending(_Message):

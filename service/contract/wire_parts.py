@@ -43,7 +43,7 @@ NoDecisionReason = Literal[
     "too_few_frames",
     "contradictory",  # the estimates do not follow from the commanded moves: the cell is wired wrong
 ]
-DoubtReason = Literal["push", "not_seen", "not_held", "width", "moved_in_hand", "depth", "order"]
+DoubtReason = Literal["push", "not_seen", "not_held", "width", "moved_in_hand", "neighbours", "depth", "order"]
 FaultCode = Literal[
     # the connection's, fatal
     "forbidden",

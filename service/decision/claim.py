@@ -36,6 +36,7 @@ class GraspRecord:
     ``width_mm`` is the gripper's at the first arming. ``blocked_pitch``: the strongest push on the gels in the blocked
     attempts, marker pitches. ``pressed_mm``: the longest press of a blocked attempt after its contact. ``late_mm``: the
     travel in all of them that late pictures may have hidden, added in squares. ``tilt``: the object's in the hand.
+    ``tried``: an attempt before was blocked or had no known end, in this grasp or an earlier one.
     """
 
     width_mm: float | None = None
@@ -43,8 +44,10 @@ class GraspRecord:
     pressed_mm: float = 0.0
     late_mm: float = 0.0
     tilt: HeldTilt = field(default_factory=HeldTilt)
+    tried: bool = False
 
     def blocked(self, attempt: Attempt) -> None:
+        self.tried = True
         self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
         self.pressed_mm = max(self.pressed_mm, pressed_mm(attempt))
         late_mm = LATE_S * max(attempt.speed_mm_s or 0.0, went_mm_s(attempt))
@@ -52,12 +55,14 @@ class GraspRecord:
         followed = late_mm + slid_mm(attempt) <= SLID_MM and self.late_mm <= ALL_LATE_MM
         self.tilt.pressed(attempt.ring[-1] if attempt.ring and followed else None, touch_of(attempt))
 
-    def begins(self, width_mm: float | None, unknown: str) -> None:
-        """The first arming. ``unknown``: why it is not known how the object hangs, or ""."""
+    def begins(self, width_mm: float | None, unknown: str, *, tried: bool) -> None:
+        """The first arming. ``unknown``: why it is not known how the object hangs, or "". ``tried``: before this."""
         self.width_mm, self.tilt.unknown = width_mm, self.tilt.unknown or unknown
+        self.tried = self.tried or tried
 
     def unfollowed(self, attempt: Attempt) -> None:
         """The arm went down in an attempt of which no end is known: the object may have turned in the hand."""
+        self.tried = True
         self.blocked_pitch = max(self.blocked_pitch, strongest_push(attempt.pushes))
         self.tilt.unknown = self.tilt.unknown or UNSEEN
 
@@ -114,7 +119,7 @@ def slid_mm(attempt: Attempt) -> float:
 
 def doubts(attempt: Attempt, grasp: GraspRecord) -> Doubts:
     """Doubts that keep this attempt's full depth from being claimed; empty if all evidence is there."""
-    checks = (_order, _depth, _watched, _held, _width, _pushed, _moved_in_hand)
+    checks = (_order, _depth, _watched, _held, _width, _pushed, _moved_in_hand, _neighbours)
     return tuple(doubt for check in checks for doubt in check(attempt, grasp))
 
 
@@ -219,6 +224,14 @@ def _moved_in_hand(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
     if not grasp.pressed_mm <= PRESSED_MM:
         detail = f"an attempt went on for {grasp.pressed_mm:.1f} mm after its contact: the object was moved in the hand"
         yield _doubt("moved_in_hand", detail, grasp.pressed_mm, PRESSED_MM)
+
+
+def _neighbours(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
+    """The gap is where it was, and as wide: a foot that takes its neighbour along feels like one that slides on it."""
+    if grasp.tried and not attempt.arm.neighbours_stay:
+        yield _doubt(
+            "neighbours", "a press may have pushed a neighbour aside: the client does not state that they stay"
+        )
 
 
 def newest_age_s(pushes: Sequence[Push], now_ns: int) -> float:

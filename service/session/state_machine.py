@@ -53,6 +53,7 @@ class InsertionSession:
     insertion_id: str | None = None
     takes_afresh: bool = False
     inserts: bool = True
+    continues: bool = False
     most_tilt_deg: float = 0.0
     attempt: Attempt | None = None
     finished: wire.Finished | None = None
@@ -103,7 +104,8 @@ class InsertionSession:
         if refused := unspoken(message):
             return [refused]
         if self.insertion_id is None:
-            self.insertion_id, self.most_tilt_deg = message.insertion_id, message.most_tilt_deg
+            self.insertion_id, self.continues = message.insertion_id, message.continues is not None
+            self.most_tilt_deg = message.most_tilt_deg
             self.takes_afresh, self.inserts = message.takes_afresh, message.purpose == "insert"
             self.controller_name = message.controller or self.controller_name
         return [
@@ -131,7 +133,7 @@ class InsertionSession:
         if self.decider is None:
             self.decider = decider_of(message, self.models, self.controller_name, self.limits, self.deadlines)
         if message.attempt == 1:
-            self.decider.grasp.begins(message.gripper_width_mm, self.open_gels.unknown)
+            self.decider.grasp.begins(message.gripper_width_mm, self.open_gels.unknown, tried=self.continues)
         self._generation += 1
         tilt = self.decider.grasp.tilt.held_at(message.tilt_deg, self.most_tilt_deg)
         self.attempt = Attempt(message, now_ns, self._generation, tilt, self.inserts)
@@ -159,7 +161,7 @@ class InsertionSession:
     def _is_current(self, number: int, stages: set[Stage]) -> bool:
         return self.attempt is not None and number == self.attempt.arm.attempt and self.attempt.stage in stages
 
-    # ---- frames ---------------------------------------------------------------------------------------------------
+    # ---- frames, and what the networks make of them -----------------------------------------------------------------
 
     @property
     def wants_frames(self) -> bool:
@@ -217,8 +219,6 @@ class InsertionSession:
         for work in plan(self.models, attempt):
             replies += self._submit(work, now_ns)
         return [*replies, *enough_message(attempt)]
-
-    # ---- networks ------------------------------------------------------------------------------------------------
 
     def _submit(self, work: Work, now_ns: int) -> Replies:
         if self.submit is not None:

@@ -37,6 +37,7 @@ def client_config(
             "approach_z_mm": round(facts["approach"]["z_mm"], 4),
             "gap_width_mm": round(facts["gap_width_mm"], 3),
             "tops_level_mm": TOPS_LEVEL_MM,
+            "neighbours_stay": facts["neighbours_stay"],
             "expected_depth_mm": round(facts["expected_depth_mm"], 3),
             "creep_allowance_mm": facts["creep_allowance_mm"],
         },

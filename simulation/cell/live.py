@@ -54,6 +54,7 @@ class Plant(NamedTuple):
     start: Pose  # TCP at the approach pose
     part_width_mm: float
     gap_width_mm: float
+    neighbours_stay: bool
     full_depth_mm: float  # of a descent from there
     save_calibration: Callable[[Path], None]
     sensor: Sensor
@@ -211,6 +212,7 @@ class LiveCell:
             "calibration": str(calibration),
             "object": self.options.object,
             "gap_width_mm": self.plant.gap_width_mm,
+            "neighbours_stay": self.plant.neighbours_stay,
             "expected_depth_mm": self.plant.full_depth_mm,
             "creep_allowance_mm": CREEP_ALLOWANCE_MM,
             "approach": {"x_mm": x, "y_mm": y, "z_mm": z, "yaw_deg": self.plant.start.yaw_deg},

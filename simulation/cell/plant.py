@@ -67,6 +67,7 @@ def build(scene: Scene, options: CellOptions) -> Plant:
         start=_pose_of(cell),
         part_width_mm=scene.object.held_size_y_mm or scene.object.size_y_mm,
         gap_width_mm=scene.blocks.gap_mm,
+        neighbours_stay=scene.neighbours_stay,
         full_depth_mm=scene.full_depth_mm,
         save_calibration=calibration.save,
         sensor=scene.sensor,

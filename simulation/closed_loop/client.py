@@ -53,6 +53,7 @@ def plan_of(
         approach=approach,
         gap_width_mm=scene.blocks.gap_mm + unstated.told_gap_error_mm,
         tops_level_mm=TOPS_LEVEL_MM,
+        neighbours_stay=scene.neighbours_stay,
         grasp_height_mm=scene.grasp.height_mm + unstated.told_height_error_mm,
         grip_n=scene.grasp.force_n,
         shear_reach_mm=reach_mm,

@@ -14,11 +14,10 @@ from simulation.foreign.newton import ARM_MM, Push
 from simulation.foreign.pads import Grip
 from simulation.foreign.rigid import about_z, cross_matrix, lines_of, rotation, rotation_vector
 from simulation.scene.effects import Active
-from simulation.scene.scene import Scene
+from simulation.scene.scene import GRAVITY_N_PER_KG, Scene
 
 Array = NDArray[np.float64]
 
-GRAVITY_N_PER_KG = 9.81
 TANGENTIAL_SHARE = 0.5  # tangential stiffness over a contact's normal stiffness
 TABLE_N_PER_MM = 2000.0  # below each corner of a free block
 NEAR_MM = 1.0

@@ -7,9 +7,8 @@ import numpy as np
 from simulation.physics.kernels import records
 from simulation.physics.pads import Pad
 from simulation.scene.effects import Active
-from simulation.scene.scene import Scene
+from simulation.scene.scene import GRAVITY_N_PER_KG, Scene
 
-GRAVITY_N_PER_KG = 9.81
 TANGENTIAL_RATIO = 0.5  # block contact: tangential over normal stiffness
 BASE_K = 2000.0  # a block's base corner on the table, N/mm
 

@@ -10,7 +10,7 @@ from operator import attrgetter
 from typing import NamedTuple
 
 from simulation.scene import rubber
-from simulation.scene.scene import Scene
+from simulation.scene.scene import GRAVITY_N_PER_KG, Scene
 
 
 class Active(NamedTuple):
@@ -49,7 +49,7 @@ def _above(key: str, limit: float) -> Callable[[Scene], tuple[bool, str]]:
 
 
 def _gravity(scene: Scene) -> tuple[bool, str]:
-    share = scene.object.mass_kg * 9.81 / (2.0 * max(scene.gel.friction, 1e-9) * scene.grasp.force_n)
+    share = scene.object.mass_kg * GRAVITY_N_PER_KG / (2.0 * max(scene.gel.friction, 1e-9) * scene.grasp.force_n)
     return share > 0.03, f"weight is {100.0 * share:.1f} % of what the grip can carry (limit 3 %)"
 
 

@@ -18,6 +18,7 @@ from simulation.scene.parts import HELD, Blocks, Camera, Effects, Figures, Gel, 
 
 APPROACH_MM = 5.0  # start of a descent above the block tops
 BEYOND_MM = 5.0  # a full descent goes deeper than an object must be to count as inserted
+GRAVITY_N_PER_KG = 9.81
 TOPS_LEVEL_MM = 0.2  # as a client knows the blocks, which are level
 OF_NO_CELL: dict[str, Any] = {"training": True, "order": True, "paper": True, "camera": {"sensor": {"name"}}}
 """Keys of a scene that do not affect its cell."""
@@ -125,6 +126,17 @@ class Scene(Part):
     def full_depth_mm(self) -> float:
         """Depth of a descent that inserts: from the approach into the gap, and clearly beyond the required depth."""
         return APPROACH_MM + self.blocks.insertion_depth_mm + BEYOND_MM
+
+    @property
+    def neighbours_stay(self) -> bool:
+        """Whether no press of this hand can move a block, by the law of friction: as an engineer would find out.
+
+        The press is all that the gels can hold by friction, and the object's weight.
+        """
+        blocks = self.blocks
+        press_n = 2.0 * self.gel.friction * self.grasp.force_n + GRAVITY_N_PER_KG * self.object.mass_kg
+        held_n = blocks.table_friction * (press_n + GRAVITY_N_PER_KG * blocks.mass_kg)
+        return not blocks.free or blocks.friction * press_n <= held_n
 
     @property
     def fps(self) -> float:

@@ -71,7 +71,7 @@ def corrected(cell, speed_mm_s: float) -> tuple[TinyArm, dict]:
 
     arm.retract = retract_and_rest
     try:
-        return arm, cell.insert(arm, depth_mm=2.5, speed_mm_s=speed_mm_s)
+        return arm, cell.insert(arm, depth_mm=2.5, speed_mm_s=speed_mm_s, neighbours_stay=True)
     except controller.Held:
         if speed_mm_s < 0.2 * SLOW_MM_S:
             raise

@@ -8,6 +8,7 @@ from websockets.sync.client import ClientConnection, connect
 from service.contract import wire
 from tests.service.conftest import LiveService
 
+CELL: dict[str, Any] = {"gap_width_mm": 56.0, "neighbours_stay": True}
 FRESH_NS = 100_000_000
 
 
@@ -38,7 +39,7 @@ class Driver:
 
     def attempt(self, number: int) -> wire.Correction:
         self.rest()
-        self.send(wire.Arm(insertion_id=self.id, attempt=number, gap_width_mm=56.0, expected_depth_mm=25.0))
+        self.send(wire.Arm(insertion_id=self.id, attempt=number, **CELL, expected_depth_mm=25.0))
         self.until("armed")
         self.live.probe()
         self.send(wire.Descending(insertion_id=self.id, attempt=number))
@@ -59,7 +60,7 @@ class Driver:
         Full depth is believed of a descent that was watched, on a frame that is recent.
         """
         self.rest()
-        self.send(wire.Arm(insertion_id=self.id, attempt=number, gap_width_mm=56.0, expected_depth_mm=1.0))
+        self.send(wire.Arm(insertion_id=self.id, attempt=number, **CELL, expected_depth_mm=1.0))
         self.until("armed")
         self.send(wire.Descending(insertion_id=self.id, attempt=number))
         time.sleep(0.3)

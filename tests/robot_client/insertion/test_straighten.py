@@ -6,12 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robot_client.cli.insert import make_plan
 from robot_client.insertion.events import Hold, Move, Send, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.limits import LimitError, Limits, StepGuard, check_pose
 from robot_client.insertion.machine import Phase, State, step
 from robot_client.insertion.motion import CYCLE_S, MotionGuide
 from robot_client.session.report import Report
+from robot_client.settings import load_settings
 from service.contract import wire
 from tests.robot_client.insertion.stories import (
     APPROACH,
@@ -53,6 +55,14 @@ def test_level_tops_are_told_only_where_the_wiring_check_has_shown_the_signs_of_
     plan = PLAN.model_copy(update={"signs_known": signs_known, "tops_level_mm": 0.2})
     (asked,) = sent(run(TO_ARMING, State(plan))[1], wire.Arm)
     assert asked.tops_level_mm == (0.2 if signs_known else None)
+
+
+@pytest.mark.parametrize("neighbours_stay", [False, True])
+def test_that_the_neighbours_stay_is_told_as_it_was_stated(neighbours_stay):
+    task = {"neighbours_stay": neighbours_stay} if neighbours_stay else {}
+    plan = make_plan(load_settings(None, {"task": task}), 0.0, 0.0, "t-1", None)
+    (asked,) = sent(run(TO_ARMING, State(plan))[1], wire.Arm)
+    assert asked.neighbours_stay == neighbours_stay
 
 
 def test_a_turned_object_is_straightened_and_the_attempt_keeps_its_number_and_its_place():

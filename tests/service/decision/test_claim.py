@@ -133,6 +133,20 @@ def test_an_object_that_was_turned_on_the_way_down_is_not_claimed() -> None:
     assert reasons(attempt) == ["moved_in_hand"]
 
 
+@pytest.mark.parametrize("press", ["blocked", "unfollowed", "in an earlier grasp", "none"])
+def test_after_a_press_a_gap_is_known_only_where_the_neighbours_stay(press: str) -> None:
+    grasp = GraspRecord()
+    grasp.begins(50.0, "", tried=press == "in an earlier grasp")
+    if press in {"blocked", "unfollowed"}:
+        getattr(grasp, press)(descent(depth_mm=5.0, outcome="blocked"))
+    grasp.begins(50.0, "", tried=False)  # armed again
+    grasp.tilt.unknown = ""
+    attempt = descent()
+    assert reasons(attempt, grasp) == ([] if press == "none" else ["neighbours"])
+    attempt.arm = attempt.arm.model_copy(update={"neighbours_stay": True})
+    assert reasons(attempt, grasp) == []
+
+
 def test_what_was_pressed_too_far_is_not_claimed() -> None:
     assert reasons(descent(), GraspRecord(50.0, pressed_mm=5.1)) == ["moved_in_hand"]
     assert reasons(descent(), GraspRecord(50.0, pressed_mm=4.9)) == []

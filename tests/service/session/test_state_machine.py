@@ -1,4 +1,5 @@
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,19 +80,39 @@ def test_the_decision_rests_on_eight_pairs_from_the_onset(session: InsertionSess
     assert (arrays["reference"] == arrays["frames"][0]).all()
 
 
-def test_an_insertion_of_several_attempts_ends_with_inserted(session: InsertionSession) -> None:
-    hello(session, controller="heuristic")
-    for attempt in (1, 2, 3):
-        assert kinds(probe(session, attempt, attempt * 10**10))[-1] == "correction"
-    session.handle(wire.Arm(insertion_id=ID, attempt=4, gap_width_mm=56.0, expected_depth_mm=25.0), 5 * 10**10)
+def goes_in(session: InsertionSession, attempt: int, **stated: Any) -> wire.Finished:
+    """An attempt that meets nothing."""
+    arm = wire.Arm(insertion_id=ID, attempt=attempt, gap_width_mm=56.0, expected_depth_mm=25.0, **stated)
+    session.handle(arm, 5 * 10**10)
     for index in range(8):
         pair = drawn.pair(index, start_ns=5 * 10**10)
         session.on_pair(pair, pair.captured_ns)
         if index == 1:
-            session.handle(wire.Descending(insertion_id=ID, attempt=4), pair.captured_ns)
-    end = wire.Stopped(insertion_id=ID, attempt=4, depth_mm=25.0, outcome="inserted")
+            session.handle(wire.Descending(insertion_id=ID, attempt=attempt), pair.captured_ns)
+    end = wire.Stopped(insertion_id=ID, attempt=attempt, depth_mm=25.0, outcome="inserted")
     (finished,) = session.handle(end, pair.captured_ns)
+    return finished
+
+
+def test_an_insertion_of_several_attempts_ends_with_inserted_where_the_neighbours_stay(
+    session: InsertionSession,
+) -> None:
+    hello(session, controller="heuristic")
+    for attempt in (1, 2, 3):
+        assert kinds(probe(session, attempt, attempt * 10**10))[-1] == "correction"
+    finished = goes_in(session, 4, neighbours_stay=True)
     assert (finished.outcome, finished.attempts) == ("inserted", 4)
+
+
+def test_where_neighbours_may_be_pushed_aside_nothing_is_inserted_after_a_press(models: ModelSet) -> None:
+    for before, continues, reasons in ((0, None, []), (1, None, ["neighbours"]), (0, "earlier", ["neighbours"])):
+        session = make_session(models, drawn.calibration())
+        hello(session, continues=continues)
+        for attempt in range(1, before + 1):
+            probe(session, attempt, attempt * 10**10)
+        finished = goes_in(session, before + 1)
+        assert [doubt.reason for doubt in finished.doubts] == reasons
+        assert finished.outcome == ("not_confirmed" if reasons else "inserted")
 
 
 def test_the_arm_came_to_stand_before_its_client_was_sure_of_it(session: InsertionSession) -> None:

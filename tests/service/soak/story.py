@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from websockets.sync.client import ClientConnection, connect
 
 from service.contract import wire
+from tests.service.client import CELL
 from tests.service.mjpeg import FakeFinger
 from tests.service.process import ServiceProcess
 
@@ -96,7 +97,7 @@ class Story:
         time.sleep(0.15)
         if self.decided:
             self.attempt, self.decided = self.attempt + 1, False
-        self.send(wire.Arm(insertion_id=self.id, attempt=self.attempt, gap_width_mm=56.0, expected_depth_mm=25.0))
+        self.send(wire.Arm(insertion_id=self.id, attempt=self.attempt, **CELL, expected_depth_mm=25.0))
         self.until({"armed"})
 
     def probe(self) -> None:
