@@ -76,7 +76,7 @@ class Task:
     """What is to be inserted; ``stop_lag_s`` is how long your arm goes on after `stop`, measured.
 
     ``name`` is that of this insertion, a new one each time.
-    ``neighbours_stay`` states that no press pushes aside what stands beside the gap; else nothing is inserted after one.
+    ``neighbours_stay`` states that no press pushes aside what stands beside the gap; else none is inserted after one.
     ``continues`` names the insertion of the same object that a person has taken out of the hand and put back upright.
     """
 

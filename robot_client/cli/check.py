@@ -17,6 +17,8 @@ from service.contract.refusals import reason
 
 NO_TOKEN = "the service names its file at its start; give it as service.token_file"  # noqa: S105 - no token
 
+MAY_SLIDE = "task.neighbours_stay is not true: after a blocked attempt no insertion is confirmed"
+
 
 def check(settings: Settings) -> Outcome:
     """Print the findings; done if everything is ready for an insertion."""
@@ -87,7 +89,8 @@ async def _plan(settings: Settings) -> list[Finding]:
     legs = plan.pace.legs(start_mm, bottom.z_mm, probing_mm_s, plan.tops) if plan.pause_s else ()
     way = settings.ramps.in_legs(start_mm, legs) if legs else settings.ramps.profile(plan.approach, bottom, "descend")
     text = f"approach z {start_mm:g} mm, full depth z {bottom.z_mm:g} mm, {way.duration_s:.1f} s down"
-    return [Finding(True, text)]
+    unsure = [] if plan.neighbours_stay else [Finding(True, MAY_SLIDE)]
+    return [Finding(True, text), *unsure]
 
 
 async def _commissioned(settings: Settings) -> list[Finding]:

@@ -21,6 +21,7 @@ FACTS = {
     "gripper": "127.0.0.1:1099",
     "object": "circle",
     "gap_width_mm": 51.5,
+    "neighbours_stay": True,
     "expected_depth_mm": 24.0,
     "creep_allowance_mm": 4.0,
     "approach": {"z_mm": 33.0},
@@ -94,6 +95,7 @@ def test_the_simulated_profile_inserts_with_what_its_cell_wrote(client):
     port = filled(SERVICES["service-sim"]["environment"]["TACTILE_PORT"])
     assert settings.service.url == f"ws://127.0.0.1:{port}/v1/insertion"
     assert (plan.approach.z_mm, plan.gap_width_mm, plan.expected_depth_mm) == (33.0, 51.5, 24.0)
+    assert plan.neighbours_stay
 
 
 @pytest.mark.parametrize("commissioned", [False, True])

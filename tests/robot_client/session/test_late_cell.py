@@ -11,7 +11,7 @@ from robot_client.insertion.limits import LimitError
 from robot_client.insertion.pace import Pace
 from robot_client.session.commission.lateness import LEAST_OPEN_S
 from robot_client.session.commission.record import Record, keep_record
-from robot_client.settings import Settings, SettingsError
+from robot_client.settings import Settings, SettingsError, Task
 from service.contract import wire
 from tests.robot_client.insertion.stories import PLAN
 from tests.robot_client.session.test_lateness import series_of
@@ -76,3 +76,14 @@ def test_a_cell_too_late_for_the_fast_legs_descends_slowly_all_the_way(late, fas
     plan.check()
     camera = wire.CameraEntry(finger="left", source="s", state="live", frame_rate_hz=rate_hz)
     assert plan.bears_fast([camera]) == fast
+
+
+@pytest.mark.parametrize("stay", [False, True])
+def test_check_names_a_cell_that_will_confirm_nothing_after_a_blocked_attempt(stay):
+    cell = Settings(task=Task(neighbours_stay=stay))
+
+    async def plan():
+        return [finding.text async for name, finding in findings_of(cell) if name == "plan"]
+
+    warned = [text for text in asyncio.run(plan()) if "neighbours_stay" in text]
+    assert len(warned) == (not stay)

@@ -30,3 +30,10 @@ def test_a_quick_arm_and_slow_cameras_slow_it_down_a_slow_one_keeps_its_speed_an
     played = stage(job, models_of(MODELS))
     assert played.state.plan.ramps.descend.speed_mm_s == probes
     assert played.cell.speed_mm_s == probes
+
+
+@pytest.mark.parametrize(("friction", "stays"), [(0.4, True), (0.6, False)])
+def test_the_played_client_states_whether_the_blocks_of_its_scene_stay(friction, stays):
+    changes = {"blocks.free": True, "blocks.friction": friction, "blocks.mass_kg": 0.1}
+    played = stage(Job("rectangle", 0, 9.0, 4.0, 3, "belief", "fields", "", changes), models_of(MODELS))
+    assert played.state.plan.neighbours_stay == stays

@@ -79,6 +79,7 @@ def plant(physics: TwoLinePhysics, x_mm: float = 8.0, theta_deg: float = 6.0, fp
         start=start,
         part_width_mm=80.0,
         gap_width_mm=56.0,
+        neighbours_stay=True,
         full_depth_mm=25.0,
         save_calibration=lambda _path: None,
         sensor=Sensor.load(),

@@ -5,11 +5,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from simulation.scene.drawn import scene_of_tables
 from simulation.scene.randomisation import randomised
 from simulation.scene.scene import SceneError
 from simulation.scene.worlds import load_scene, object_names
+
+UNIT = st.floats(0.0, 1.0)
 
 
 @pytest.mark.parametrize("name", object_names())
@@ -108,3 +112,18 @@ def test_held_out_draws_never_meet_training_draws() -> None:
     held = [randomised(scene, rng, held_out=True).gel.friction for _ in range(50)]
     assert all(0.65 <= value <= 0.95 for value in train)
     assert not any(0.65 < value < 0.95 for value in held)
+
+
+@given(friction=st.floats(0.05, 1.5), table_friction=st.floats(0.05, 1.5), mass_kg=st.floats(0.05, 10.0), share=UNIT)
+def test_a_block_that_is_said_to_stay_is_held_by_its_table_under_every_press(friction, table_friction, mass_kg, share):
+    blocks = {"friction": friction, "table_friction": table_friction, "mass_kg": mass_kg, "free": True}
+    scene = load_scene("rectangle", **{f"blocks__{key}": value for key, value in blocks.items()})
+    weight_n, most_n = 9.81 * mass_kg, 2.0 * scene.gel.friction * scene.grasp.force_n + 9.81 * scene.object.mass_kg
+    press_n = share * most_n
+    if scene.neighbours_stay:
+        assert friction * press_n <= table_friction * (press_n + weight_n) + 1e-9
+    else:
+        assert friction * most_n > table_friction * (most_n + weight_n)
+    assert load_scene(
+        "rectangle", **{f"blocks__{key}": value for key, value in blocks.items()} | {"blocks__free": False}
+    ).neighbours_stay

@@ -33,6 +33,7 @@ FACTS = {
     "object": "rectangle",
     "approach": {"z_mm": 35.0},
     "gap_width_mm": 56.0,
+    "neighbours_stay": True,
     "expected_depth_mm": 25.0,
     "creep_allowance_mm": 4.0,
     "home": {"x_mm": 0.0, "y_mm": 0.0, "z_mm": 60.0, "yaw_deg": 0.0},
