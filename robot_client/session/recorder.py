@@ -100,6 +100,8 @@ def _lines(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:
             if number == len(lines):
                 return  # the client died while writing this line; the earlier ones still count
             raise ContractError(f"{path}, line {number}: {error.msg}") from None
+        except RecursionError:
+            raise ContractError(f"{path}, line {number}: nested too deeply for an episode log") from None
         if not isinstance(data, dict):
             raise ContractError(f"{path}, line {number}: expected a JSON object")
         yield number, data

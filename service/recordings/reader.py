@@ -33,7 +33,13 @@ class Entry:
     data: bytes
 
     def json(self) -> dict[str, Any]:
-        content: dict[str, Any] = json.loads(self.data)
+        """The message as a JSON object; raises RecordingError if it is none."""
+        try:
+            content = json.loads(self.data)
+        except (ValueError, RecursionError):
+            content = None
+        if not isinstance(content, dict):
+            raise RecordingError(f"message {self.seq} of {self.topic} is no JSON object: not a recording of ours")
         return content
 
 

@@ -57,7 +57,15 @@ def test_an_end_that_is_none_is_no_traceback(end, rehearsed, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "nonsense\nmore\n", "[1]\n{}\n", '{"event": {"kind": "begin"}}\n{}\n', '{"end": 3}\n']
+    "text",
+    [
+        "",
+        "nonsense\nmore\n",
+        "[1]\n{}\n",
+        '{"event": {"kind": "begin"}}\n{}\n',
+        '{"end": 3}\n',
+        "[" * 100_000 + "\n{}\n",
+    ],
 )
 def test_a_file_that_is_no_log_is_refused_in_one_line(text, tmp_path):
     path = tmp_path / "x.jsonl"

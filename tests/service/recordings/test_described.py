@@ -9,6 +9,7 @@ import pytest
 from mcap.reader import make_reader
 
 from service.contract import ModelCard, wire
+from service.recordings.reader import Entry, RecordingError
 from service.recordings.recovery import recover
 from service.recordings.writer import FINAL, PART, Recorder
 from tests.service.client import Driver
@@ -94,3 +95,9 @@ def test_what_a_crash_left_keeps_its_attachments(tmp_path: Path) -> None:
     part = path.rename(path.with_name(PART))
     assert recover(tmp_path) == [part.with_name(FINAL)]
     assert attachments(part.with_name(FINAL)) == {"configuration.json": b"{}"}
+
+
+@pytest.mark.parametrize("data", [b"{", b"[1]", b"\xff", b"[" * 100_000])
+def test_a_message_that_is_no_json_object_is_named(data: bytes) -> None:
+    with pytest.raises(RecordingError, match="message 3 of /messages is no JSON object"):
+        Entry("/messages", 0, 3, data).json()
