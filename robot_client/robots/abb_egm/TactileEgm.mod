@@ -3,7 +3,8 @@ MODULE TactileEgm
     ! 689-1 Externally Guided Motion and 616-1 PC Interface, RobotWare 6.07 or newer. Not a safety function.
     !
     ! Configuration (Communication / Transmission Protocol): name TactilePC, type UDPUC, remote address and port of
-    ! the cell PC (default port 6510). EGM configuration "default" (Motion / External Motion Interface Data).
+    ! the cell PC (default port 6510). EGM configuration "default" (Motion / External Motion Interface Data): with
+    ! "Return to Programmed Position when Stopped" a stop would drive back to where guidance began; it must be No.
     ! Start it through RWS or the pendant in AUTO with motors on; cycle mode does not matter, the program ends itself.
 
     ! Adapt both: the TCP lies midway between the fingertips, its z axis points out of the gripper; the work object's
@@ -12,13 +13,18 @@ MODULE TactileEgm
     TASK PERS wobjdata tactileGap := [FALSE, TRUE, "", [[800, 0, 300], [1, 0, 0, 0]], [[0, 0, 0], [1, 0, 0, 0]]];
 
     CONST num silenceLimit := 0.25; ! s without a message of the guide: guidance ends, the arm holds
-    CONST num deviationLimit := 100; ! mm/s (and deg/s): the most that EGM may add
+    CONST num deviationLimit := 100; ! deg/s of a joint: the most that EGM may add
     CONST egm_minmax converged := [-0.05, 0.05];
     CONST pose noOffset := [[0, 0, 0], [1, 0, 0, 0]];
 
     VAR egmident guide;
 
     PROC main()
+        VAR jointtarget here;
+        ! EGM begins at a fine point only, and not as the first motion after a restart of the controller. So the first
+        ! one is this, which leads nowhere.
+        here := CJointT();
+        MoveAbsJ here, v10, fine, tactileTool \WObj:=tactileGap;
         EGMReset guide;
         EGMGetId guide;
         EGMSetupUC ROB_1, guide, "default", "TactilePC" \Pose \CommTimeout:=silenceLimit;

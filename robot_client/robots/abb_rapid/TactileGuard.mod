@@ -11,6 +11,7 @@ MODULE TactileGuard
     PERS bool tactileStop;
     PERS bool tactileMoving;
 
+    CONST string address := "192.168.125.1"; ! as in TactileMotion.mod
     CONST num port := 5011;
     CONST num silenceLimit := 0.1; ! s: with the reaction to the flag, 1.5 mm at 10 mm/s
 
@@ -22,11 +23,11 @@ MODULE TactileGuard
         VAR string part;
         tactileStop := TRUE;
         SocketCreate server;
-        SocketBind server, GetSysInfo(\LanIp), port;
+        SocketBind server, address, port;
         SocketListen server;
         SocketAccept server, client \Time:=WAIT_MAX;
         WHILE TRUE DO
-            SocketReceive client \Str:=part \ReadNoOfBytes:=40 \Time:=silenceLimit;
+            SocketReceive client \Str:=part \Time:=silenceLimit; ! what has come, 80 bytes at most
             ! A stop anywhere in what came in wins at once, whatever stands before it.
             IF StrFind(part, 1, "S") <= StrLen(part) THEN
                 tactileStop := TRUE;

@@ -12,6 +12,8 @@ MODULE TactileMotion
     PERS bool tactileStop := TRUE;
     PERS bool tactileMoving := FALSE;
 
+    ! Of this controller in the network of the cell PC: here its service port. "127.0.0.1" on a virtual controller.
+    CONST string address := "192.168.125.1";
     CONST num port := 5010;
     CONST num topSpeed := 80; ! mm/s; SearchL \Stop is meant for less than 100
     CONST num turnSpeed := 60; ! deg/s
@@ -50,7 +52,7 @@ MODULE TactileMotion
 
     PROC listen()
         SocketCreate server;
-        SocketBind server, GetSysInfo(\LanIp), port;
+        SocketBind server, address, port;
         SocketListen server;
         SocketAccept server, client \Time:=WAIT_MAX;
     ENDPROC
@@ -59,13 +61,15 @@ MODULE TactileMotion
     FUNC string nextRequest()
         VAR string whole := "";
         VAR string part;
-        WHILE StrFind(whole, 1, "#") > StrLen(whole) DO
-            SocketReceive client \Str:=part \ReadNoOfBytes:=80 \Time:=WAIT_MAX;
+        VAR bool ended := FALSE;
+        WHILE NOT ended DO
+            SocketReceive client \Str:=part \Time:=WAIT_MAX; ! what has come, 80 bytes at most
             IF StrLen(whole) + StrLen(part) > 80 THEN
                 whole := "";
                 answer "E 0 length";
             ELSE
                 whole := whole + part;
+                ended := StrFind(whole, 1, "#") <= StrLen(whole);
             ENDIF
         ENDWHILE
         RETURN StrPart(whole, 1, StrFind(whole, 1, "#") - 1);
@@ -111,7 +115,11 @@ MODULE TactileMotion
             ended := TRUE;
             TRYNEXT;
         ELSEIF ERRNO = ERR_PERSSUPSEARCH OR ERRNO = ERR_SIGSUPSEARCH THEN
-            TRYNEXT; ! the stop was up before the start: nothing moved
+            ! The stop was up before the start: nothing moved, and nothing of this move may be left for the next one.
+            StopMove;
+            ClearPath;
+            StartMove;
+            TRYNEXT;
         ELSE
             tactileMoving := FALSE;
             RAISE;
@@ -119,19 +127,19 @@ MODULE TactileMotion
     ENDFUNC
 
     FUNC bool numbers(string request, INOUT num fields{*})
-        VAR num from := 3;
-        VAR num upto;
+        VAR num first := 3;
+        VAR num past;
         FOR i FROM 1 TO 9 DO
-            upto := StrFind(request, from, " ");
-            IF NOT StrToVal(StrPart(request, from, upto - from), fields{i}) THEN
+            past := StrFind(request, first, " ");
+            IF NOT StrToVal(StrPart(request, first, past - first), fields{i}) THEN
                 RETURN FALSE;
             ENDIF
-            from := upto + 1;
-            IF i < 9 AND from > StrLen(request) THEN
+            first := past + 1;
+            IF i < 9 AND first > StrLen(request) THEN
                 RETURN FALSE;
             ENDIF
         ENDFOR
-        RETURN from > StrLen(request);
+        RETURN first > StrLen(request);
     ENDFUNC
 
     PROC answer(string text)

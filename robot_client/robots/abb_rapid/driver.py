@@ -47,7 +47,7 @@ class SocketArm:
     _move: int = 0
     _pending: tuple[int, WorkPose, float] | None = None
     _sent: int | None = None  # a move not yet answered by the motion server
-    _waiting: Literal["arrived", "fresh position", "standstill"] | None = None
+    _waiting: Literal["arrived", "fresh position", "rest", "standstill"] | None = None
     _asked: int = 0
     _here: WorkPose | None = None
     _target: WorkPose | None = None
@@ -240,20 +240,27 @@ class SocketArm:
                 self._ask_guard("H", self._asked)
 
     def _settle(self, here: WorkPose, state: GuardState) -> None:
-        now_s = time.monotonic()
         if self._waiting == "fresh position" and state.number == self._asked:
-            self._waiting = None
+            self._waiting, self._still = "rest", None  # what the guard reads comes to rest only after the arm
+        # A hold waits for the answer to a move that is still on its way: the next release would start it.
+        held = self._waiting == "standstill" and state.stopped and self._sent is None
+        now_s = time.monotonic()
+        if not (held or self._waiting == "rest") or not self._rests(here, now_s):
+            return
+        self._waiting = None
+        if held:
+            self._report(Standstill(at_s=now_s, pose=here, still_s=_STILL_S))
+        else:
             self._check_arrived(here)
             self._report(Arrived(at_s=now_s, pose=here))
-        # Wait for the answer to a move that is still on its way: the next release would start it.
-        if self._waiting != "standstill" or not state.stopped or self._sent is not None:
-            return
+
+    def _rests(self, here: WorkPose, now_s: float) -> bool:
+        """Whether the arm has stood here for long enough."""
         where, since_s = self._still or (here, now_s)
         if self._still is None or where.distance_mm(here) > _STILL_MM or where.turn_deg(here) > _STILL_DEG:
             self._still = here, now_s
-        elif now_s - since_s >= _STILL_S:
-            self._waiting = None
-            self._report(Standstill(at_s=now_s, pose=here, still_s=_STILL_S))
+            return False
+        return now_s - since_s >= _STILL_S
 
     def _check_arrived(self, here: WorkPose) -> None:
         """Fail if the move did not lead to its target: the next one would begin elsewhere, perhaps between blocks."""
