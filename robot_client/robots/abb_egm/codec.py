@@ -58,6 +58,11 @@ class RobotState:
             return f"motion control reports EGM {self.mc_state}"
         return "motion supervision has seen a collision" if self.collided else ""
 
+    @property
+    def waits(self) -> bool:
+        """Whether nothing but EGM itself does not run yet, which may do so only once a guide answers."""
+        return self.motors_on and self.rapid_running and self.mc_state in ("undefined", "stopped")
+
 
 @dataclass(frozen=True, slots=True)
 class Guidance:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from robot_client.insertion.events import Arrived, Failure, Standstill, Stood
-from robot_client.insertion.geometry import CellFrame, WorkPose
+from robot_client.insertion.geometry import CellFrame, Pose, WorkPose
 from robot_client.insertion.lease import Unwatched
 from robot_client.insertion.limits import Leg, LimitError, Limits, Motion
 from robot_client.insertion.motion import SETTLE_S, MotionGuide, Ramps
@@ -197,6 +197,7 @@ class EgmArm:
     def _begin(self, state: codec.RobotState, measured: WorkPose, tilt_deg: float) -> bool:
         """Begin guidance at the arm's present pose. Targets are upright, so the first one would turn a tilted tool."""
         if not self._watch.ready(state):
+            self._answer(state.feedback if state.waits else None)
             return False
         if tilt_deg > self.limits.max_tilt_deg:
             allowed = f"allowed {self.limits.max_tilt_deg:g}; jog it upright, or correct work_object.rotation and .tool"
@@ -230,11 +231,11 @@ class EgmArm:
         except LimitError as error:
             self._fail("limits", str(error))
 
-    def _answer(self) -> None:
-        if self._guide is None or self._robot is None or self._socket is None:
+    def _answer(self, unguided: Pose | None = None) -> None:
+        pose = unguided if self._guide is None else self.frame.to_controller(self._guide.target)
+        if pose is None or self._robot is None or self._socket is None:
             return
         self._sequence += 1
-        pose = self.frame.to_controller(self._guide.target)
         time_ms = time.monotonic_ns() // 1_000_000
         with contextlib.suppress(OSError):  # a full buffer or an unreachable host shows as silence of the stream
             self._socket.sendto(codec.encode_guidance(codec.Guidance(self._sequence, time_ms, pose)), self._robot)

@@ -26,14 +26,14 @@ class Wire:
         self.sent.append(codec.decode_guidance(datagram).pose)
 
 
-def answers_to(tilt_deg):
+def answers_to(tilt_deg, **state):
     """Answers to ten datagrams of a resting arm with a tilted tool, and the reported failure."""
     half = math.radians(180.0 - tilt_deg) / 2.0
     measured = codec.Pose(5.0, 0.0, 60.0, math.cos(half), math.sin(half), 0.0, 0.0)
     arm, wire = EgmArm(Settings(), Limits(), Ramps()), Wire()
     arm._socket, arm._robot = wire, ("127.0.0.1", 6510)
     for number in range(10):
-        datagram = codec.encode_robot(codec.RobotState(number, 4 * number, measured))
+        datagram = codec.encode_robot(codec.RobotState(number, 4 * number, measured, **state))
         arm._on_datagram(datagram, 0.004 * number)
     return wire.sent, arm._watch.not_ready
 
@@ -50,6 +50,18 @@ def test_a_tilted_arm_is_never_answered_since_every_target_would_turn_it_upright
     sent, reason = answers_to(25.0)
     assert sent == []
     assert "tilted by 25.00 deg, allowed 2" in reason
+
+
+@pytest.mark.parametrize("mc_state", ["undefined", "stopped"])
+def test_a_controller_whose_guidance_does_not_run_yet_is_answered_with_where_it_stands_and_does_not_move(mc_state):
+    """It may run only once a guide answers, as ABB's own examples do to every datagram."""
+    sent, reason = answers_to(25.0, mc_state=mc_state)
+    assert len(sent) == 10
+    here, tilt_deg = CellFrame().from_controller(sent[0])
+    assert (set(sent), tilt_deg) == ({sent[0]}, pytest.approx(25.0))
+    assert here.distance_mm(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=60.0, yaw_deg=0.0)) == 0.0
+    assert reason == f"motion control reports EGM {mc_state}"
+    assert answers_to(0.0, mc_state=mc_state, motors_on=False)[0] == answers_to(0.0, mc_state="error")[0] == []
 
 
 @pytest.mark.parametrize(("tilt_deg", "held"), [(0.0, False), (1.9, False), (2.1, True), (25.0, True)])
