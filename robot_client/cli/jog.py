@@ -11,12 +11,14 @@ from robot_client.settings import Settings
 
 
 def jog(settings: Settings, target: WorkPose, *, live: bool) -> Outcome:
-    """Move the TCP to ``target``: up, over, down, all at travel speed; raises LimitError, DriverError."""
+    """Move the TCP to ``target``: up as slowly as from between blocks, over, down; raises LimitError, DriverError."""
     check_pose(settings.limits, target)
+    check_pose(settings.limits, target.at_height(max(target.z_mm, _clear_mm(settings))), "above target")
     check_ramps(settings.limits, settings.ramps)
     if not live:
         print(DRY_RUN)
-        print(f"would go up or stay, over, then down to {pose_text(target)}; within the limits")
+        up = f"up to z {_clear_mm(settings):+.2f} mm at least"
+        print(f"would go {up}, over, then down to {pose_text(target)}; within the limits")
         return Outcome(True, {"live": False, "target": target.model_dump()})
     show(warning(live=True, simulated=settings.simulated))
     return asyncio.run(_jog(settings, target))
@@ -24,6 +26,14 @@ def jog(settings: Settings, target: WorkPose, *, live: bool) -> Outcome:
 
 async def _jog(settings: Settings, target: WorkPose) -> Outcome:
     stop_on_signals()
-    here = await settings.errands.go(over_to(target, target.z_mm), show)
+    here = await settings.errands.go(over_to(target, _clear_mm(settings), "retract"), show)
     show(f"at   {pose_text(here)}")
     return Outcome(True, {"live": True, "target": target.model_dump(), "pose": here.model_dump()})
+
+
+def _clear_mm(settings: Settings) -> float:
+    """From here on the arm goes sideways: above the blocks, and above what stands at a taught pose."""
+    taught, heights_mm = settings.cycle, [settings.errands.clear_mm]
+    if taught is not None:
+        heights_mm += [taught.above(pose).z_mm for pose in (taught.pick, taught.reject) if pose is not None]
+    return max(heights_mm)
