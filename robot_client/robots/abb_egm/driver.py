@@ -68,7 +68,7 @@ class EgmArm:
         except RwsError as error:
             raise DriverError(f"robot: {error}") from None
         except TimeoutError:
-            why = self._watch.not_ready or "no datagram came: check UCdevice address and port, and that EGM runs"
+            why = self._watch.not_ready or "no datagram came: check UCdevice address, port, firewalls, that EGM runs"
             if self._foreign and not self._watch.datagrams:
                 why = f"{self._foreign} datagrams came, none from {self.settings.robot_host} (robot.robot_host)"
             where = f"UDP port {self._socket.getsockname()[1]} in {self.settings.ready_timeout_s:g} s"
