@@ -31,7 +31,7 @@ class Limits(Contract):
     y_mm: tuple[float, float] = (-20.0, 20.0)
     z_mm: tuple[float, float] = (5.0, 150.0)
     yaw_deg: tuple[float, float] = (-45.0, 45.0)
-    max_tilt_deg: float = Field(default=2.0, gt=0, le=5)  # guidance begins by righting the tool, in one step
+    max_tilt_deg: float = Field(default=2.0, gt=0, le=5)  # the first moves right the tool
     max_straighten_deg: float = Field(default=1.5, ge=0.0)
     max_speed_mm_s: Positive = 80.0
     max_descent_speed_mm_s: Positive = 15.0

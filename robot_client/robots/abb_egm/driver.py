@@ -19,7 +19,9 @@ from robot_client.insertion.limits import Leg, LimitError, Limits, Motion
 from robot_client.insertion.motion import SETTLE_S, MotionGuide, Ramps
 from robot_client.ports import Arm, Check, DriverError, Finding, Post, Signals
 from robot_client.robots.abb_egm import codec
+from robot_client.robots.abb_egm.righting import Righting
 from robot_client.robots.abb_egm.settings import Settings
+from robot_client.robots.abb_egm.udp import address_of, listen
 from robot_client.robots.abb_egm.watch import EgmWatch, StreamFault
 from robot_client.robots.abb_rws.client import RwsClient
 from robot_client.robots.abb_rws.generation import RwsError
@@ -39,6 +41,7 @@ class EgmArm:
     _socket: socket.socket | None = None
     _robot: tuple[str, int] | None = None
     _guide: MotionGuide | None = None
+    _righting: Righting = field(init=False, repr=False)
     _watch: EgmWatch = field(init=False)
     _measured: WorkPose | None = None
     _sequence: int = 0
@@ -59,7 +62,7 @@ class EgmArm:
     async def start(self, post: Post) -> WorkPose:
         """Listen, start motors and program, wait for the first good datagram."""
         self._post = post
-        self._socket = _listen(self.settings)
+        self._socket = listen(self.settings)
         asyncio.get_running_loop().add_reader(self._socket, self._on_readable)
         try:
             if self.rws is not None:
@@ -142,7 +145,7 @@ class EgmArm:
         return {**robot, "guidance": self._check_port}
 
     async def _check_port(self) -> list[Finding]:
-        _listen(self.settings).close()  # its refusal is the finding
+        listen(self.settings).close()  # its refusal is the finding
         where = f"UDP {self.settings.bind}:{self.settings.port}"
         return [Finding(True, f"{where} is free; the controller's UCdevice must send to it")]
 
@@ -195,7 +198,7 @@ class EgmArm:
         self._report(measured, now_s)
 
     def _begin(self, state: codec.RobotState, measured: WorkPose, tilt_deg: float) -> bool:
-        """Begin guidance at the arm's present pose. Targets are upright, so the first one would turn a tilted tool."""
+        """Begin guidance at the arm's present pose. Targets are upright: a tool that leans too far is not for them."""
         if not self._watch.ready(state):
             self._answer(state.feedback if state.waits else None)
             return False
@@ -204,6 +207,7 @@ class EgmArm:
             self._watch.not_ready = f"the tool is tilted by {tilt_deg:.2f} deg, {allowed}"
             return False
         self._guide = MotionGuide(self.limits, self.ramps, measured)
+        self._righting = Righting.of(self.frame, state.feedback, measured)
         self._ready.set()
         return True
 
@@ -224,15 +228,17 @@ class EgmArm:
 
     def _advance(self, elapsed_s: float, now_s: float) -> None:
         assert self._guide is not None
+        before = self._guide.target
         try:
-            self._guide.advance(elapsed_s, now_s)
+            if self._guide.advance(elapsed_s, now_s) != before:
+                self._righting.go_on(elapsed_s)
         except Unwatched as error:
             self._fail("unwatched", str(error))
         except LimitError as error:
             self._fail("limits", str(error))
 
     def _answer(self, unguided: Pose | None = None) -> None:
-        pose = unguided if self._guide is None else self.frame.to_controller(self._guide.target)
+        pose = unguided if self._guide is None else self._righting.pose(self._guide.target)
         if pose is None or self._robot is None or self._socket is None:
             return
         self._sequence += 1
@@ -274,27 +280,8 @@ class EgmArm:
             self._stopping = asyncio.get_running_loop().create_task(self.rws.stop_program())
 
 
-def _listen(settings: Settings) -> socket.socket:
-    listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    listener.setblocking(False)
-    try:
-        listener.bind((settings.bind, settings.port))
-    except OSError as error:
-        listener.close()
-        raise DriverError(f"robot: cannot listen on UDP {settings.bind}:{settings.port}: {error}") from None
-    return listener
-
-
 def make(settings: Settings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:
     """The arm with RWS; only the robot's host, by default the one in the RWS address, receives guidance."""
     if settings.robot_host is None:
-        settings = settings.model_copy(update={"robot_host": _address_of(settings.rws.host)})
+        settings = settings.model_copy(update={"robot_host": address_of(settings.rws.host)})
     return EgmArm(settings, limits, ramps, frame, RwsClient(settings.rws))
-
-
-def _address_of(host: str) -> str:
-    """The address of a host, as in datagrams; its name, which is in none, if that has no address now."""
-    try:
-        return socket.gethostbyname(host)
-    except OSError:
-        return host
