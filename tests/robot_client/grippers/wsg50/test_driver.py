@@ -143,7 +143,7 @@ def test_each_width_that_differs_by_a_tenth_is_reported():
             widths.append(cell.events.get_nowait())
         return [event.width_mm for event in widths if isinstance(event, Width)]
 
-    widths = story(work, holding=False, grasp_speed_mm_s=40.0)
+    widths = story(work, holding=False, grasp_speed_mm_s=10.0)
     assert len(widths) > 2
     assert all(b - a >= 0.1 for a, b in itertools.pairwise(widths))
     assert (widths[0], widths[-1]) == (pytest.approx(56.0, abs=1.0), pytest.approx(60.0, abs=0.1))
