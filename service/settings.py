@@ -179,6 +179,10 @@ class Settings(BaseSettings):
         return self
 
     @property
+    def recordings_max_bytes(self) -> int:
+        return int(self.recordings_max_gb * 1e9)
+
+    @property
     def hosts(self) -> tuple[str, ...]:
         """All host names accepted in requests: this machine's, the listening address, and the configured ones.
 

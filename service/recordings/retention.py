@@ -24,14 +24,15 @@ def problem_of(root: Path) -> str:
     return "" if free_bytes >= MIN_FREE_BYTES else f"the disk of {root} has {free_bytes >> 20} MiB left"
 
 
-def make_room(root: Path, max_bytes: int) -> int:
-    """Prune so that the next insertion fits, too; returns the largest size that its file may reach.
+def largest_bytes(max_bytes: int) -> int:
+    """The largest size that the file of one insertion may reach."""
+    return min(MAX_INSERTION_BYTES, max_bytes // 4)
 
-    Raises OSError where ``root`` cannot be read.
-    """
-    largest = min(MAX_INSERTION_BYTES, max_bytes // 4)
-    prune(root, max_bytes - largest)
-    return largest
+
+def make_room(root: Path, max_bytes: int) -> None:
+    """Prune so that the next insertion fits, too: before it opens, since many recordings take seconds."""
+    with contextlib.suppress(OSError):  # a folder that cannot be read: `problem_of` says so
+        prune(root, max_bytes - largest_bytes(max_bytes))
 
 
 def prune(root: Path, max_bytes: int) -> list[Path]:

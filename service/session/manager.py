@@ -27,7 +27,7 @@ from service.observability.hub import Hub
 from service.perception.markers.fingerprint import gel_name
 from service.perception.rectification import Calibration
 from service.recordings.listing import Summary
-from service.recordings.retention import make_room, problem_of
+from service.recordings.retention import largest_bytes, make_room, problem_of
 from service.recordings.writer import CONFIGURATION, Recorder
 from service.session.decider import Decider
 from service.session.factory import make_session
@@ -80,6 +80,7 @@ class InsertionManager:
         self.charts = Charts(self.settings.recordings / CHARTS)
         measured = {f: self.calibration.camera(f).measured for f in FINGERS} if self.calibration else {}
         self._gels = {f: gel_name(one.fingerprint) for f, one in measured.items() if one and one.fingerprint}
+        make_room(self.settings.recordings, self.settings.recordings_max_bytes)
 
     @property
     def recording_problem(self) -> str:
@@ -218,7 +219,7 @@ class InsertionManager:
             "held_over": session.open_gels.held_over,
         }
         try:
-            largest = make_room(root, int(self.settings.recordings_max_gb * 1e9))
+            largest = largest_bytes(self.settings.recordings_max_bytes)
             return Recorder(root, insertion_id, facts, largest, self._attachments(session))
         except OSError as error:
             self._note_recorded(f"cannot record into {root}: {reason(error)}")
@@ -267,6 +268,7 @@ class InsertionManager:
         self._chart({"insertion_id": finished.insertion_id, **how}, insertion.session.models)
         del insertion
         give_back()
+        make_room(self.settings.recordings, self.settings.recordings_max_bytes)
 
     def _learn(self, insertion: Insertion, finished: wire.Finished) -> None:
         """Check whether another version should now decide."""

@@ -22,7 +22,7 @@ from service.perception.finger import TactileFinger
 from service.recordings.listing import list_recordings
 from service.recordings.reader import Recording, RecordingError
 from service.recordings.recovery import recover
-from service.recordings.retention import make_room, prune
+from service.recordings.retention import largest_bytes, make_room, prune
 from service.recordings.writer import Recorder
 from tests.service import drawn
 from tests.service.client import Driver
@@ -167,7 +167,8 @@ def test_the_disk_use_of_recordings_is_bounded_while_one_is_written(tmp_path: Pa
     bound = 4_000_000
     noise = np.random.default_rng(0).integers(0, 255, (320, 427, 3), np.uint8)
     for insertion in range(6):
-        recorder = Recorder(tmp_path, f"i{insertion}", {}, make_room(tmp_path, bound))
+        make_room(tmp_path, bound)
+        recorder = Recorder(tmp_path, f"i{insertion}", {}, largest_bytes(bound))
         for index in range(10):
             recorder.frame(CameraFrame(TactileFrame("left", index, index + 1, noise), None))
         recorder.close({"outcome": "failed"})

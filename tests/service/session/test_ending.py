@@ -176,9 +176,30 @@ def test_frames_that_were_left_out_are_counted_and_named(cell: Cell) -> None:
 
 def test_recordings_may_fill_as_many_gigabytes_as_are_set(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
-    monkeypatch.setattr(under_test, "make_room", lambda _root, most_bytes: asked.append(most_bytes) or 1 << 20)
+    monkeypatch.setattr(under_test, "make_room", lambda _root, most_bytes: asked.append(most_bytes))
     cell.ends("one")
     assert asked == [20_000_000_000]
+
+
+def test_the_oldest_recordings_go_before_an_insertion_opens_whose_client_waits_only_so_long(
+    tmp_path: Path, models: ModelSet
+) -> None:
+    def old(name: str) -> Path:
+        folder = tmp_path / "r" / name
+        folder.mkdir(parents=True)
+        (folder / "insertion.mcap").write_bytes(b"\0" * 900_000)
+        return folder
+
+    first, second = old("20260101T000000_a"), old("20260101T000001_b")
+    cell = Cell(tmp_path, models, recordings_max_gb=0.001)
+    assert (first.exists(), second.exists()) == (False, True), "at the start: its limit may be a lower one"
+    third = old("20260101T000002_c")
+    cell.client.connect()
+    assert second.exists()
+    cell.manager.abort("operator", "done")
+    wait_for_recorders()
+    assert (second.exists(), third.exists()) == (False, False)
+    assert len(list((tmp_path / "r").glob("*_one"))) == 1
 
 
 class OtherVersions:
