@@ -140,20 +140,22 @@ class Cycle:
     async def _asked(self) -> bool:
         """Wait until the next part may begin; False if no more are wanted."""
         shown = ""
-        while not self.pace.ending:
-            waits = "paused" if self.pace.paused else "waiting for the PLC" if self.plc else ""
-            asked = not self.pace.paused and (self.plc is None or await self.plc.asked())
-            if asked and not self.pace.paused and not self.pace.ending:  # a person may have stopped it meanwhile
+        while True:
+            wanted = not (self.pace.paused or self.pace.ending)
+            requested = await self.plc.asked(ready=wanted) if self.plc else True
+            if requested and not self.pace.paused and not self.pace.ending:  # a person may have stopped it meanwhile
                 if self.plc:
                     await self.plc.busy()
                 return True
+            if self.pace.ending and not wanted:
+                if requested and self.plc:
+                    raise CycleHeldError("operator: stopped; the part that the PLC requests was not begun")
+                return False
+            waits = "paused" if self.pace.paused else "waiting for the PLC"
             if waits != shown:
-                if self.plc and self.pace.paused:
-                    await self.plc.busy()  # or a start now would count as soon as the person lets the cycle go on
                 self.show(waits)
                 shown = waits
             await asyncio.sleep(PATIENCE_S)
-        return False
 
     async def _part(self) -> None:
         number = self.count.inserted_n + self.count.rejected_n + 1

@@ -4,6 +4,7 @@ Levels, not pulses, so that neither side can miss one::
 
     client: ready 1 -> PLC: start 1 -> client: ready 0, one part, done 1 (or fault 1) -> PLC: start 0 -> client: done 0
 
+A start that comes before ready, or goes off before done, is a fault: one side would take a part for another.
 ``fault`` stays on: the cycle has ended, and a person has to restart it. A PLC pauses a cycle by keeping ``start`` off.
 """
 
@@ -35,36 +36,61 @@ class Handshake:
 
     settings: HandshakeSettings
     signals: Signals
+    _offered: bool = False  # a start counts
 
     async def begin(self) -> None:
         """Switch the outputs off; a PLC that already requests a start is refused, since the client was not ready."""
         names = self.settings
         for name in (names.ready, names.done, names.fault):
             await self.signals.write_signal(name, on=False)
-        if await self.signals.read_signal(names.start):
-            raise DriverError(f"plc: {names.start} is on before {names.ready}; switch it off, then start the cycle")
+        await self._check_off()
 
-    async def asked(self) -> bool:
-        """Signal ready, and return whether the PLC requests a part now."""
-        await self.signals.write_signal(self.settings.ready, on=True)
+    async def asked(self, *, ready: bool) -> bool:
+        """Signal whether the client is ready, and return whether the PLC requests a part.
+
+        A request that came before ready went off still counts: the PLC takes that part to be under way. Raises
+        DriverError if the PLC requests one that nobody was ready for.
+        """
+        if ready and not self._offered:
+            await self._check_off()
+        self._offered = self._offered or ready
+        await self.signals.write_signal(self.settings.ready, on=ready)
         await asyncio.sleep(POLL_S)
-        return await self.signals.read_signal(self.settings.start)
+        requested = self._offered and await self._requested()
+        self._offered = ready or requested
+        return requested
 
     async def busy(self) -> None:
+        self._offered = False
         await self.signals.write_signal(self.settings.ready, on=False)
 
     async def done(self) -> None:
-        """Signal done and wait until the PLC has seen it; raises DriverError if it does not within the time."""
+        """Signal done and wait until the PLC has seen it; raises DriverError if it cannot have, or does not in time."""
         names = self.settings
+        kept = await self._requested()
         await self.signals.write_signal(names.done, on=True)
+        if not kept:
+            text = (
+                f"plc: {names.start} went off before {names.done}: the PLC may ask for that part again, which is done"
+            )
+            raise DriverError(text)
         try:
             async with asyncio.timeout(names.release_timeout_s):
-                while await self.signals.read_signal(names.start):  # noqa: ASYNC110 a device tells only if asked
+                while await self._requested():
                     await asyncio.sleep(POLL_S)
         except TimeoutError:
             text = f"plc: {names.start} is still on {names.release_timeout_s:g} s after {names.done}"
             raise DriverError(text) from None
         await self.signals.write_signal(names.done, on=False)
+
+    async def _requested(self) -> bool:
+        return await self.signals.read_signal(self.settings.start)
+
+    async def _check_off(self) -> None:
+        if await self._requested():
+            names = self.settings
+            look = "look whether the last part is in, switch it off, then start the cycle"
+            raise DriverError(f"plc: {names.start} is on before {names.ready}; {look}")
 
     async def end(self, *, fault: bool) -> None:
         """Clear ready and, after a failure, set fault; then close the connection."""

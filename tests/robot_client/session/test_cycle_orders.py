@@ -1,4 +1,4 @@
-"""What a person orders while the client asks the PLC counts before the next part begins."""
+"""What a person orders while the client asks the PLC counts before the next part begins, and no request is lost."""
 
 import asyncio
 from types import SimpleNamespace
@@ -6,8 +6,9 @@ from types import SimpleNamespace
 import pytest
 
 from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.state import Phase
 from robot_client.ports import DriverError
-from robot_client.session.cycle import Cycle, CycleSettings
+from robot_client.session.cycle import Cycle, CycleHeldError, CycleSettings
 from robot_client.session.handshake import Handshake, HandshakeSettings
 
 TAUGHT = CycleSettings(pick=WorkPose(x_mm=0.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0), open_mm=80.0)
@@ -85,3 +86,104 @@ def test_a_controller_that_answers_no_more_does_not_hide_why_the_cycle_ended():
     with pytest.raises(DriverError, match="arm: silent"):
         asyncio.run(story())
     assert lines[-1].startswith("the PLC may not know of the fault: POST")
+
+
+class Levels:
+    """The signals as the controller keeps them, and a PLC that acts ``in_part``."""
+
+    def __init__(self, in_part=lambda _levels: None):
+        self.levels = dict.fromkeys(("diTactileStart", "doTactileReady", "doTactileDone", "doTactileFault"), False)
+        self.in_part, self.parts_n = in_part, 0
+        self.cycle = None
+
+    async def read_signal(self, name):
+        return self.levels[name]
+
+    async def write_signal(self, name, *, on):
+        self.levels[name] = on
+
+    async def close(self):
+        pass
+
+    def run(self):
+        """The cycle as a task; each part is inserted at once."""
+
+        async def insert(_number):
+            self.parts_n += 1
+            self.in_part(self.levels)
+            return SimpleNamespace(phase=Phase.INSERTED, attempt=1)
+
+        async def is_so(_work):
+            return True
+
+        errands = SimpleNamespace(go=lambda _way: asyncio.sleep(0), with_gripper=is_so, clear_mm=35.0)
+        self.cycle = Cycle(TAUGHT, errands, insert, lambda _text: None, plc=Handshake(HandshakeSettings(), self))
+        return asyncio.ensure_future(self.cycle.run(1))
+
+    async def until(self, **expected):
+        async with asyncio.timeout(5.0):
+            while any(self.levels[f"doTactile{name}"] != on for name, on in expected.items()):  # noqa: ASYNC110
+                await asyncio.sleep(0.01)
+
+
+def test_a_part_that_was_requested_before_a_pause_is_begun_after_it():
+    async def story():
+        plc = Levels()
+        running = plc.run()
+        await plc.until(Ready=True)
+        plc.cycle.pace.order("pause")
+        plc.levels["diTactileStart"] = True
+        await plc.until(Ready=False)
+        await asyncio.sleep(0.5)
+        assert plc.parts_n == 0
+        plc.cycle.pace.order("resume")
+        await plc.until(Done=True)
+        plc.levels["diTactileStart"] = False
+        await running
+        return plc.parts_n
+
+    assert asyncio.run(story()) == 1
+
+
+def test_a_part_that_is_requested_in_a_pause_is_a_fault_and_moves_nothing():
+    async def story():
+        plc = Levels()
+        running = plc.run()
+        await plc.until(Ready=True)
+        plc.cycle.pace.order("pause")
+        await plc.until(Ready=False)
+        await asyncio.sleep(0.5)
+        plc.levels["diTactileStart"] = True
+        plc.cycle.pace.order("resume")
+        with pytest.raises(DriverError, match="diTactileStart is on before doTactileReady; look whether"):
+            await running
+        return plc.parts_n, plc.levels["doTactileFault"]
+
+    assert asyncio.run(story()) == (0, True)
+
+
+def test_a_plc_whose_request_a_person_has_stopped_is_told_by_a_fault():
+    async def story():
+        plc = Levels()
+        running = plc.run()
+        await plc.until(Ready=True)
+        plc.cycle.pace.order("stop")
+        plc.levels["diTactileStart"] = True
+        with pytest.raises(CycleHeldError, match="the part that the PLC requests was not begun"):
+            await running
+        return plc.parts_n, plc.levels["doTactileReady"], plc.levels["doTactileFault"]
+
+    assert asyncio.run(story()) == (0, False, True)
+
+
+def test_a_plc_that_took_its_request_back_cannot_miss_that_the_part_is_done():
+    async def story():
+        plc = Levels(lambda levels: levels.update(diTactileStart=False))  # as one that was restarted
+        running = plc.run()
+        await plc.until(Ready=True)
+        plc.levels["diTactileStart"] = True
+        with pytest.raises(DriverError, match="may ask for that part again, which is done"):
+            await running
+        return plc.parts_n, plc.levels["doTactileDone"], plc.levels["doTactileFault"]
+
+    assert asyncio.run(story()) == (1, True, True)
