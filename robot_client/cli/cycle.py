@@ -58,6 +58,7 @@ async def _cycle(
         return await upright(plan, partial(run, number), fixture, lambda text: show(f"  {text}"))
 
     async def run(number: int, plan: Plan) -> State:
+        show(f"  insertion {plan.insertion_id}")
         arm, gripper, service = live_ports(settings, plan)
         report = Report(arm.position, lambda text: show(f"  {text}"))
         written = log / f"{plan.insertion_id}.jsonl" if log else None

@@ -210,6 +210,19 @@ def unwatched(state: State, at_s: float) -> Result:
     return fail(state, "service", "unwatched", f"newest frame {known}; allowed {allowed_ms:.0f} ms")
 
 
+def finished(state: State, message: wire.Finished) -> Result:
+    """The insertion is over: claimed at full depth, else failed. One that was over before it began moves nothing."""
+    if state.phase is Phase.CLOSING and message.outcome == "inserted":
+        return replace(state, phase=Phase.INSERTED, deadline_s=math.inf), ()
+    if state.phase is Phase.GREETING:
+        known = f"insertion {state.plan.insertion_id} ended before ({message.outcome}) and was not begun again"
+        return fail(state, "service", "finished", f"{known}: give this one another --insertion-id")
+    if message.doubts:
+        doubts = "; ".join(doubt.detail for doubt in message.doubts)
+        return fail(state, "service", message.cause or message.outcome, f"full depth was reached, but {doubts}")
+    return fail(state, "service", "finished", f"the service closed the insertion: {message.outcome}")
+
+
 def hold(state: State, reason: str, at_s: float) -> Result:
     deadline_s = at_s + state.plan.timeouts.stopping_s
     return replace(state, phase=Phase.STOPPING, path=(), deadline_s=deadline_s), (Hold(reason=reason),)

@@ -10,7 +10,6 @@ The same machine drives the live cell, the dry run, the lock-step simulation and
 A probe ends ``probed``, above the gap. Once it is over no event makes it order anything.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -19,6 +18,7 @@ from robot_client.insertion.actions import (
     arm,
     descend,
     fail,
+    finished,
     go,
     hold,
     later,
@@ -202,7 +202,7 @@ def _on_service(state: State, event: FromService) -> Result:
         case wire.OpenLearnt() if state.phase is Phase.LEARNING:
             result = grasp(state, at_s)
         case wire.Finished():
-            result = _on_finished(state, message)
+            result = finished(state, message)
         case wire.Armed() | wire.Straighten() | wire.Refused() | wire.Watching() | wire.Slip() | wire.Enough():
             result = _on_attempt_message(state, message, at_s)
         case wire.Correction() | wire.NoDecision():
@@ -240,15 +240,6 @@ def _on_clock(state: State, clock: wire.Clock | None, at_s: float) -> Result:
         detail = "the service's clock and ours contradict their earlier readings: one of them stood still or jumped"
         return fail(state, "service", "clock", detail)
     return replace(state, clock=mapped), ()
-
-
-def _on_finished(state: State, message: wire.Finished) -> Result:
-    if state.phase is Phase.CLOSING and message.outcome == "inserted":
-        return replace(state, phase=Phase.INSERTED, deadline_s=math.inf), ()
-    if message.doubts:
-        doubts = "; ".join(doubt.detail for doubt in message.doubts)
-        return fail(state, "service", message.cause or message.outcome, f"full depth was reached, but {doubts}")
-    return fail(state, "service", "finished", f"the service closed the insertion: {message.outcome}")
 
 
 def _on_attempt_message(state: State, message: wire.AttemptMessage, at_s: float) -> Result:

@@ -47,4 +47,5 @@ async def upright(
 
 
 def new_id() -> str:
-    return f"{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
+    """Its time is in UTC, as in the log and in the names of recordings."""
+    return f"{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}-{secrets.token_hex(3)}"

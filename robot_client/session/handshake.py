@@ -76,7 +76,7 @@ class Handshake:
             raise DriverError(text)
         try:
             async with asyncio.timeout(names.release_timeout_s):
-                while await self._requested():
+                while await self._requested():  # noqa: ASYNC110 a device tells only if asked
                     await asyncio.sleep(POLL_S)
         except TimeoutError:
             text = f"plc: {names.start} is still on {names.release_timeout_s:g} s after {names.done}"

@@ -68,6 +68,8 @@ def test_a_part_that_is_not_there_is_named_with_the_controllers_answer_and_a_los
     assert not outcome.done
     assert "on nothing; is the object between the fingers?" in outcome.result["reason"]
     assert "robot: controller confirms: program stopped" in lines
+    (log,) = tmp_path.iterdir()
+    assert f"insertion {log.stem}\n" in lines, "the name of its recording, and of its lines in the service's log"
     assert "BROKEN OFF: No space left on device" in lines
 
 

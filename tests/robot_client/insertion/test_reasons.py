@@ -235,6 +235,18 @@ def test_an_insertion_closed_early_failed_by_what_the_service_says():
     assert state.reason == "service: finished: the service closed the insertion: inserted"
 
 
+@pytest.mark.parametrize("cause", [None, "afresh"])
+def test_an_insertion_whose_id_was_used_before_says_so_and_moves_nothing(cause):
+    doubts = (wire.Doubt(reason="push", detail="still pushed"),) if cause else ()
+    outcome = "aborted" if cause else "inserted"
+    before = wire.Finished(insertion_id=ID, outcome=outcome, attempts=1, cause=cause, doubts=doubts)
+    state, commands = run([TO_ARMING[0], service(before)])
+    assert state.phase is Phase.FAILED
+    assert f"insertion {ID} ended before ({outcome})" in state.reason
+    assert state.reason.endswith("give this one another --insertion-id")
+    assert not [command for command in commands if isinstance(command, Move)]
+
+
 @pytest.mark.parametrize(
     ("fast_mm_s", "pause_s", "rate_hz", "fast"),
     [(15.0, PAUSE_S, 60.0, True), (15.0, 0.0, 60.0, False), (None, PAUSE_S, 60.0, False), (15.0, PAUSE_S, 30.0, False)],

@@ -1,12 +1,14 @@
 """Regrasp: a turned object goes up and over to its fixture, and its attempts are counted together."""
 
 import asyncio
+import time
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 
 import pytest
 
 from robot_client.insertion.state import Phase, State
-from robot_client.session.afresh import upright
+from robot_client.session.afresh import new_id, upright
 from tests.robot_client.insertion.stories import APPROACH, PLAN
 
 
@@ -42,3 +44,14 @@ def test_from_between_the_blocks_it_goes_up_slowly_and_what_was_tried_counts(rea
     assert fixture.ups == ([up] if up else [])
     assert state.attempt == attempts_n
     assert [plan.continues for plan in plans[1:]] == ([PLAN.insertion_id] if up else [])
+
+
+def test_an_insertion_is_named_by_the_same_clock_as_its_recording_wherever_the_plant_is(monkeypatch):
+    monkeypatch.setenv("TZ", "JST-9")
+    time.tzset()
+    try:
+        began = datetime.strptime(new_id()[:15], "%Y%m%d-%H%M%S").replace(tzinfo=UTC)
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    assert abs(datetime.now(UTC) - began) < timedelta(minutes=1)
