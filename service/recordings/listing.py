@@ -128,14 +128,19 @@ def endings(root: Path, most_n: int) -> list[Finished]:
     return known
 
 
-def each_recording(root: Path, problems: list[str]) -> Iterator[dict[str, Any]]:
-    """Finished insertions, newest first; what keeps others from being listed is added to ``problems``."""
+def each_recording(root: Path, problems: list[str], insertion_id: str | None = None) -> Iterator[dict[str, Any]]:
+    """Finished insertions, newest first; what keeps others from being listed is added to ``problems``.
+
+    ``insertion_id``: only those of this name, without reading any other.
+    """
     try:
         folders = sorted((p for p in root.iterdir() if NAME.fullmatch(p.name)), reverse=True)
     except OSError as error:
         problems.append(f"{root}: {error.strerror}")
         return
     for folder in folders:
+        if insertion_id not in (None, folder.name.partition("_")[2]):
+            continue
         try:
             yield _entry(folder)
         except FileNotFoundError:

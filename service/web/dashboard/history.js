@@ -7,6 +7,7 @@ const FILTERS = { object: "by-object", outcome: "by-outcome", cause: "by-cause" 
 const words = (text) => (text ?? "").replaceAll("_", " ");
 const RECENT = 20; // insertions of a moving mean
 let all = [];
+at("by-id").oninput = show;
 
 export async function listPast() {
   if (at("history").hidden) return;
@@ -31,7 +32,7 @@ function options(select, values) {
 }
 
 function show() {
-  const chosen = all.filter((one) => Object.entries(FILTERS).every(([key, id]) => at(id).value === "*" || (one[key] ?? "") === at(id).value));
+  const chosen = all.filter((one) => Object.entries(FILTERS).every(([key, id]) => at(id).value === "*" || (one[key] ?? "") === at(id).value) && one.insertion_id.includes(at("by-id").value.trim()));
   const inserted = chosen.filter(({ outcome }) => outcome === "inserted"), ended = chosen.filter(({ outcome }) => outcome !== "aborted"); // by a person, as a probe, or to be regrasped
   at("count").textContent = ended.length ? `${inserted.length} of ${ended.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}` : chosen.length ? `${chosen.length} aborted` : "none";
   renew(at("past"), chosen.slice(0, 500).map(row));

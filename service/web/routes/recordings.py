@@ -9,6 +9,7 @@ from fastapi.responses import FileResponse
 from pydantic import BaseModel
 from pydantic_core import to_json
 
+from service.contract import wire
 from service.recordings.listing import Summary, each_recording
 from service.recordings.names import NAME
 from service.recordings.writer import FINAL
@@ -60,10 +61,10 @@ def recording_file(root: Path, name: str) -> Path:
     return path
 
 
-def _list(root: Path) -> bytes:
+def _list(root: Path, insertion_id: str | None) -> bytes:
     """Recordings as JSON, in steps of one: all at once would keep every other thread waiting meanwhile."""
     problems: list[str] = []
-    listed = b",".join(to_json(one, inf_nan_mode="null") for one in each_recording(root, problems))
+    listed = b",".join(to_json(one, inf_nan_mode="null") for one in each_recording(root, problems, insertion_id))
     return b'{"recordings":[%b],"problems":%b}' % (listed, to_json(problems))
 
 
@@ -73,8 +74,8 @@ def router(station: Station, access: Access) -> APIRouter:
     root, reading = station.settings.recordings, Reading(station)
 
     @routes.get("", dependencies=watch, response_model=Recordings)
-    async def recordings() -> Response:
-        return Response(await reading(_list, root), media_type="application/json")
+    async def recordings(insertion_id: wire.InsertionId | None = None) -> Response:
+        return Response(await reading(_list, root, insertion_id), media_type="application/json")
 
     @routes.get("/{name}", dependencies=watch, response_class=Mcap)
     async def recording(name: str) -> Mcap:

@@ -1,3 +1,4 @@
+import json
 import time
 import tomllib
 from concurrent.futures import ThreadPoolExecutor
@@ -48,6 +49,18 @@ def test_a_recorded_insertion_is_listed_played_and_removed(live: LiveService) ->
     assert httpx.get(base).content[:5] == b"\x89MCAP"
     assert httpx.delete(base, headers=live.bearer).status_code == 200
     assert httpx.get(base).status_code == 404
+
+
+def test_a_recording_is_found_by_the_name_of_its_insertion_alone(live: LiveService) -> None:
+    for name, insertion_id in (("20260101T000000_part-1", "part-1"), ("20260101T000001_part-10", "part-10")):
+        (live.recordings / name).mkdir()
+        facts = {"insertion_id": insertion_id, "outcome": "inserted", "attempts": 1}
+        (live.recordings / name / "summary.json").write_text(json.dumps(facts))
+    listed = httpx.get(live.url("/v1/recordings"), params={"insertion_id": "part-1"}).json()
+    assert ([one["name"] for one in listed["recordings"]], listed["problems"]) == (["20260101T000000_part-1"], [])
+    assert httpx.get(live.url("/v1/recordings"), params={"insertion_id": "part-2"}).json()["recordings"] == []
+    refused = httpx.get(live.url("/v1/recordings"), params={"insertion_id": "part/1"})
+    assert (refused.status_code, "insertion_id" in refused.json()["error"]) == (422, True)
 
 
 def test_a_recording_that_two_remove_at_once_is_removed_and_nothing_breaks(live: LiveService) -> None:

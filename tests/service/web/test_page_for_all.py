@@ -223,3 +223,13 @@ def test_a_long_move_fits_on_the_smallest_panel(live: LiveService, page: Any) ->
         ],
     )
     give_up(driver)
+
+
+def test_an_insertion_is_found_by_a_part_of_its_name(live: LiveService, page: Any) -> None:
+    for name in ("20260928-part-4711", "20260928-part-4712"):
+        give_up(insertion(live, name))
+    page.goto(live.url("/#history"))
+    wait_until(page, "document.querySelectorAll('#past tr').length >= 2")
+    page.get_by_label("Insertion", exact=True).fill("4711")
+    wait_until(page, "document.querySelectorAll('#past tr').length === 1")
+    assert page.locator("#past button").get_attribute("aria-label") == "play back 20260928-part-4711"
