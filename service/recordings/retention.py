@@ -5,6 +5,7 @@ import os
 import shutil
 from pathlib import Path
 
+from service.contract.refusals import reason
 from service.recordings.names import NAME
 from service.recordings.writer import MAX_INSERTION_BYTES
 
@@ -29,15 +30,22 @@ def largest_bytes(max_bytes: int) -> int:
     return min(MAX_INSERTION_BYTES, max_bytes // 4)
 
 
-def make_room(root: Path, max_bytes: int) -> None:
-    """Prune so that the next insertion fits, too: before it opens, since many recordings take seconds."""
-    with contextlib.suppress(OSError):  # a folder that cannot be read: `problem_of` says so
+def make_room(root: Path, max_bytes: int) -> str:
+    """Prune so that the next insertion fits, too; returns why that cannot be, or "".
+
+    Many recordings take seconds: it has to be done before that insertion opens.
+    """
+    try:
         prune(root, max_bytes - largest_bytes(max_bytes))
+    except OSError as error:
+        return f"no old recording can be removed: {reason(error)}"
+    return ""
 
 
 def prune(root: Path, max_bytes: int) -> list[Path]:
     """Remove the oldest insertions until the rest fits into ``max_bytes``; the newest always stays. Returns them.
 
+    Those of which a full disk took nothing go, too: but the newest, as it shows that the one before was not the last.
     Folders that are not named like a recording are neither removed nor counted.
     """
     entries = root.iterdir() if root.is_dir() else ()
@@ -46,8 +54,8 @@ def prune(root: Path, max_bytes: int) -> list[Path]:
     removed: list[Path] = []
     total = sum(sizes)
     for folder, size in zip(folders[:-1], sizes[:-1], strict=True):
-        if total <= max_bytes:
-            break
+        if total <= max_bytes and size:
+            continue
         shutil.rmtree(folder, ignore_errors=True)
         removed.append(folder)
         total -= size

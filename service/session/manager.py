@@ -80,7 +80,7 @@ class InsertionManager:
         self.charts = Charts(self.settings.recordings / CHARTS)
         measured = {f: self.calibration.camera(f).measured for f in FINGERS} if self.calibration else {}
         self._gels = {f: gel_name(one.fingerprint) for f, one in measured.items() if one and one.fingerprint}
-        make_room(self.settings.recordings, self.settings.recordings_max_bytes)
+        make_room(self.settings.recordings, self.settings.recordings_max_bytes)  # the limit may be a lower one now
 
     @property
     def recording_problem(self) -> str:
@@ -268,7 +268,8 @@ class InsertionManager:
         self._chart({"insertion_id": finished.insertion_id, **how}, insertion.session.models)
         del insertion
         give_back()
-        make_room(self.settings.recordings, self.settings.recordings_max_bytes)
+        if problem := make_room(self.settings.recordings, self.settings.recordings_max_bytes):
+            self.hub.publish("error", problem)
 
     def _learn(self, insertion: Insertion, finished: wire.Finished) -> None:
         """Check whether another version should now decide."""

@@ -19,7 +19,7 @@ from service import __main__ as entry
 from service.cameras.capture import CameraFrame
 from service.contract import FrameSpec, TactileFrame, wire
 from service.perception.finger import TactileFinger
-from service.recordings.listing import list_recordings
+from service.recordings.listing import held_over, list_recordings
 from service.recordings.reader import Recording, RecordingError
 from service.recordings.recovery import recover
 from service.recordings.retention import largest_bytes, make_room, prune
@@ -183,6 +183,19 @@ def test_garbage_is_no_recording(tmp_path: Path) -> None:
     (tmp_path / "x.mcap").write_bytes(os.urandom(1000))
     with pytest.raises(RecordingError, match="no readable MCAP"):
         Recording(tmp_path / "x.mcap")
+
+
+def test_a_full_disk_is_not_littered_with_folders_of_insertions_of_which_it_took_nothing(tmp_path: Path) -> None:
+    Recorder(tmp_path, "whole", {}).close({"outcome": "inserted", "attempts": 1})
+    for name in ("20990101T000000_a", "20990101T000001_b", "20990101T000002_c"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "insertion.mcap.part").touch()
+    recover(tmp_path)
+    make_room(tmp_path, 1 << 30)
+    listed, problems = list_recordings(tmp_path)
+    assert [one["insertion_id"] for one in listed] == ["whole"]
+    assert problems == ["20990101T000002_c: broken off before there was anything to read; remove it"]
+    assert held_over(tmp_path) is None, "nobody knows how the last one ended"
 
 
 def test_folders_that_are_no_recordings_never_make_room(tmp_path: Path) -> None:

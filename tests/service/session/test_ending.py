@@ -176,7 +176,7 @@ def test_frames_that_were_left_out_are_counted_and_named(cell: Cell) -> None:
 
 def test_recordings_may_fill_as_many_gigabytes_as_are_set(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
-    monkeypatch.setattr(under_test, "make_room", lambda _root, most_bytes: asked.append(most_bytes))
+    monkeypatch.setattr(under_test, "make_room", lambda _root, most_bytes: asked.append(most_bytes) or "")
     cell.ends("one")
     assert asked == [20_000_000_000]
 
@@ -200,6 +200,13 @@ def test_the_oldest_recordings_go_before_an_insertion_opens_whose_client_waits_o
     wait_for_recorders()
     assert (second.exists(), third.exists()) == (False, False)
     assert len(list((tmp_path / "r").glob("*_one"))) == 1
+
+
+def test_recordings_that_cannot_be_removed_are_no_secret(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("service.recordings.retention.prune", lambda *_: Path("/proc/1/root/x").stat())
+    cell.ends("one")
+    assert cell.events[-1][0] == "error"
+    assert cell.events[-1][1].startswith("no old recording can be removed: ")
 
 
 class OtherVersions:
