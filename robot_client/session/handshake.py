@@ -70,17 +70,15 @@ class Handshake:
         kept = await self._requested()
         await self.signals.write_signal(names.done, on=True)
         if not kept:
-            text = (
-                f"plc: {names.start} went off before {names.done}: the PLC may ask for that part again, which is done"
-            )
-            raise DriverError(text)
+            look = "the part is done, see that the PLC does not ask for it again, then start the cycle"
+            raise DriverError(f"plc: {names.start} went off before {names.done}; {look}")
         try:
             async with asyncio.timeout(names.release_timeout_s):
                 while await self._requested():  # noqa: ASYNC110 a device tells only if asked
                     await asyncio.sleep(POLL_S)
         except TimeoutError:
-            text = f"plc: {names.start} is still on {names.release_timeout_s:g} s after {names.done}"
-            raise DriverError(text) from None
+            late = f"{names.start} is still on {names.release_timeout_s:g} s after {names.done}"
+            raise DriverError(f"plc: {late}; switch it off, then start the cycle") from None
         await self.signals.write_signal(names.done, on=False)
 
     async def _requested(self) -> bool:

@@ -182,7 +182,7 @@ def test_a_plc_that_took_its_request_back_cannot_miss_that_the_part_is_done():
         running = plc.run()
         await plc.until(Ready=True)
         plc.levels["diTactileStart"] = True
-        with pytest.raises(DriverError, match="may ask for that part again, which is done"):
+        with pytest.raises(DriverError, match="see that the PLC does not ask for it again"):
             await running
         return plc.parts_n, plc.levels["doTactileDone"], plc.levels["doTactileFault"]
 
