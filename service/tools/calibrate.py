@@ -29,6 +29,7 @@ from service.tools.grid_fit import GridFit, fit_grid
 MIN_SIDE = 0.71  # share of the rows and of the columns
 MIN_PRESENT = 0.7
 MAX_DISPLACED = 0.1  # share of the grid's markers: visible, but not at a resting gel's positions
+MAX_SLANT_DEG = 20.0  # real sensors are below 4; rows that are offset by half a step are 27 or 30 off
 MAX_OFF = 0.03  # pitches, RMS; resting gels of three real sensors are below 0.02
 _OTHER_PITCH = 0.15  # markers this much closer or further apart than the profile says are another gel's
 _ONE_PLACE = 0.01  # pitches; markers of two real fingers lie 0.13 or more apart in their pictures, of one 0.002
@@ -77,15 +78,28 @@ def still_image(url: str, frames: int) -> NDArray[np.uint8]:
 def find_grid(image: NDArray[np.uint8], name: str, sensor: Sensor | None) -> GridFit:
     """The marker grid of a raw frame; raises CalibrationError naming ``name`` and the likely cause if there is none."""
     grid = fit_grid(image, sensor)
-    if grid is not None:
-        return grid
-    level = float(image.mean())
-    cause = "is this a sensor with markers, and is it in focus?"
-    if not _DARK < level < _GLARE:
-        cause = (
-            "the frame is black: is the light on?" if level <= _DARK else "the frame is white: is the light too bright?"
+    if grid is None:
+        cause = _cause(image, sensor)
+        raise CalibrationError(f"{name}: no marker grid in the frame, and this software needs one; {cause}")
+    if grid.slant_deg > MAX_SLANT_DEG:
+        raise CalibrationError(
+            f"{name}: columns and rows of markers are {grid.slant_deg:.0f} deg from a right angle, allowed"
+            f" {MAX_SLANT_DEG:g}: rows offset by half a step (a hexagonal grid) are not supported, nor is so oblique a"
+            " view"
         )
-    raise CalibrationError(f"{name}: no marker grid in the frame, and this software needs one; {cause}")
+    return grid
+
+
+def _cause(image: NDArray[np.uint8], sensor: Sensor | None) -> str:
+    """The likely reason why a raw frame shows no grid."""
+    level = float(image.mean())
+    if level <= _DARK:
+        return "the frame is black: is the light on?"
+    if level >= _GLARE:
+        return "the frame is white: is the light too bright?"
+    if fit_grid(np.asarray(255 - image, np.uint8), sensor) is not None:
+        return "its markers are lighter than the gel around them, and only darker ones are tracked"
+    return "is this a sensor with markers in straight rows and columns, and is it in focus?"
 
 
 def rectify(image: NDArray[np.uint8], grid: GridFit, sensor: Sensor, serial: str = "") -> Fit:

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from service.contract import ContractError, Sensor
 from service.contract.refusals import describe
+from service.perception.lens import transformed
 from service.perception.rectification import Rectifier
 from service.tools.calibrate import Fit
 from service.tools.grid_fit import GridFit
@@ -19,6 +20,7 @@ _MAGNIFIED = 20.0  # arrows of the residual map
 _GOOD, _FAR, _ABSENT = (120, 220, 60), (40, 120, 255), (80, 80, 255)  # BGR
 _PITCH_PX = (12.0, 33.0)  # of a new profile's own rectified frame
 _LEAST_PX = 8.0  # of any profile
+_AROUND = (1.0, 0.75, 0.5)  # pitches from the outer markers to the edge of a new profile's own frame
 _SPARE = 0.25  # pitches by which a frame may reach beyond the picture
 
 
@@ -69,11 +71,13 @@ def profile_of(
     ContractError if no profile can describe such a grid.
     """
     rows, columns = grid.shape
-    own = round(float(np.clip(grid.pitch_px, *_PITCH_PX)))
-    pitch, size = float(own), (own * (columns + 1) + 1, own * (rows + 1) + 1)
+    pitch = float(round(float(np.clip(grid.pitch_px, *_PITCH_PX))))
+    size = _own_size(image, grid, pitch)
     if like is not None and _fills(image, grid, like, pitch_mm):
         pitch, size = pitch_mm / like.mm_per_px, (like.width_px, like.height_px)
-    first, corners = _view(grid, pitch, size)
+    first, _ = _view(grid, pitch, size)
+    straight, _ = cv2.findHomography(first + pitch * grid.cells, grid.raw_px)  # corners cannot state a bending lens
+    corners = transformed(np.asarray(straight, np.float64), _corners(size))
     table = {
         "name": name,
         "marker_rows": rows,
@@ -101,23 +105,40 @@ def profile_of(
 def _view(grid: GridFit, pitch_px: float, size: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Of a rectified frame with the grid in its middle: the first marker [2], and its corners in the raw one [4, 2]."""
     rows, columns = grid.shape
-    last = np.array(size, np.float64) - 1
-    first = (last - pitch_px * np.array([columns - 1, rows - 1])) / 2
-    return first, grid.projection.raw((np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * last - first) / pitch_px)
+    first = (np.array(size, np.float64) - 1 - pitch_px * np.array([columns - 1, rows - 1])) / 2
+    return first, grid.projection.raw((_corners(size) - first) / pitch_px)
+
+
+def _corners(size: tuple[int, int]) -> NDArray[np.float64]:
+    """Corner pixels [4, 2] of a frame (width, height), clockwise from the upper left."""
+    return np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * (np.array(size, np.float64) - 1)
+
+
+def _own_size(image: NDArray[np.uint8], grid: GridFit, pitch_px: float) -> tuple[int, int]:
+    """A frame with a pitch around the grid, or less where the picture ends before."""
+    for around in _AROUND:
+        width, height = (round(pitch_px * (count - 1 + 2 * around)) + 1 for count in grid.shape[::-1])
+        if _shown(image, grid, _view(grid, pitch_px, (width, height))[1]):
+            break
+    return width, height
 
 
 def _fills(image: NDArray[np.uint8], grid: GridFit, like: Sensor, pitch_mm: float) -> bool:
-    """Whether the grid has room in the frame of ``like`` and the picture shows that frame to its edges.
-
-    Beyond them it would be black, and the tracker would take that for markers.
-    """
+    """Whether the grid has room in the frame of ``like`` and the picture shows that frame to its edges."""
     pitch_px, size = pitch_mm / like.mm_per_px, (like.width_px, like.height_px)
     if not pitch_px >= _LEAST_PX:
         return False
     first, corners = _view(grid, pitch_px, size)
+    return _shown(image, grid, corners) and bool(first.min() >= pitch_px / 2)
+
+
+def _shown(image: NDArray[np.uint8], grid: GridFit, corners: NDArray[np.float64]) -> bool:
+    """Whether a picture shows a frame with these corners to its edges.
+
+    Beyond them it would be black, and the tracker would take that for markers.
+    """
     spare = _SPARE * grid.pitch_px
-    shown = (corners >= -spare).all() and (corners <= np.array(image.shape[1::-1]) - 1 + spare).all()
-    return bool(shown and first.min() >= pitch_px / 2)
+    return bool((corners >= -spare).all() and (corners <= np.array(image.shape[1::-1]) - 1 + spare).all())
 
 
 def save_profile(sensor: Sensor, path: Path) -> None:

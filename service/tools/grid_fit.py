@@ -57,6 +57,14 @@ class GridFit:
         return there
 
     @property
+    def slant_deg(self) -> float:
+        """How far columns and rows are from a right angle in the middle of the raw frame."""
+        middle = (np.array(self.shape[::-1]) - 1) / 2
+        start, *ends = self.projection.raw(middle + np.array([(0, 0), (1, 0), (0, 1)]))
+        along, across = ((end - start) / np.linalg.norm(end - start) for end in ends)
+        return float(np.degrees(np.arcsin(abs(along @ across))))
+
+    @property
     def off(self) -> Float64:
         """Distance of each marker from its node, in grid units [n, 2]."""
         return self.projection.plane(self.raw_px) - self.cells
@@ -122,7 +130,11 @@ def _refined(image: Image, start: Lattice, sensor: Sensor | None) -> GridFit | N
     if model is None:
         return None
     low, shape = cells.min(0), cells.max(0) - cells.min(0) + 1
-    displaced = _displaced(*_search(image, model, cells, start.pitch_px, diameter), cells)
+    spots, centres = _search(image, model, cells, start.pitch_px, diameter)
+    between, _ = _search(np.asarray(255 - image, np.uint8), model, cells, start.pitch_px, diameter)
+    if len(between.strength) and np.median(between.strength[: len(cells)]) > np.median(spots.strength[: len(cells)]):
+        return None  # the gaps of a grid of light markers: these cover less of the gel, and so stand out further
+    displaced = _displaced(spots, centres, cells)
     projection = model.scaled(1.0, -low.astype(np.float64))
     rows_columns = (int(shape[1]), int(shape[0]))
     return GridFit(cells - low, raw, projection, rows_columns, start.pitch_px, start.diameter_px, displaced)

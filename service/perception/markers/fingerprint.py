@@ -16,6 +16,7 @@ from service.perception.markers.field import MarkerField
 _UNIT = 0.005  # pitch
 _ABSENT = -128
 _LEAST_N = 24
+_SLID = 2  # rows or columns at a border that may differ on both sides
 OTHER_GEL = 0.5  # likeness below which two fingerprints certainly belong to two gels of a kind
 TELLING_N = 150  # markers; with fewer, too much depends on which are found for a gel to be refused
 
@@ -51,19 +52,34 @@ def off_print(cells: NDArray[np.float64], points: NDArray[np.float64]) -> NDArra
 
 
 def likeness(one: str, other: str) -> float | None:
-    """Correlation (-1 .. 1) of two fingerprints, one gel if near 1; None if either is empty or their grids differ.
+    """Correlation (-1 .. 1) of two fingerprints, one gel if near 1; None if they share too few markers.
+
+    They are laid on each other where they agree best: a border row may have been dirty, dark or out of view in one.
 
     Raises ValueError if either is not a fingerprint.
     """
     if not (one and other):
         return None
     a, b = _decoded(one), _decoded(other)
-    if a.shape != b.shape:
-        return None
+    down, right = (
+        range(min(0, more) - _SLID, max(0, more) + _SLID + 1) for more in np.subtract(a.shape, b.shape)[:2].tolist()
+    )
+    alike = [_correlation(a, b, i, j) for i in down for j in right]
+    return max((known for known in alike if known is not None), default=None)
+
+
+def _correlation(a: NDArray[np.int8], b: NDArray[np.int8], i: int, j: int) -> float | None:
+    """Of the markers that are visible in both, if the first of ``b`` lies ``i`` rows and ``j`` columns off that of a.
+
+    The offsets of each are taken from the regular grid that fits these markers best.
+    """
+    top, bottom = max(i, 0), min(len(a), i + len(b))
+    left, right = max(j, 0), min(a.shape[1], j + b.shape[1])
+    a, b = a[top:bottom, left:right], b[top - i : bottom - i, left - j : right - j]
     both = (a[..., 0] != _ABSENT) & (b[..., 0] != _ABSENT)
     if both.sum() < _LEAST_N:
         return None
-    x, y = (values[both] - values[both].mean(0) for values in (a.astype(float), b.astype(float)))
+    x, y = (off_print(np.argwhere(both).astype(float), values[both].astype(float)) for values in (a, b))
     size = float(np.sqrt(np.square(x).sum() * np.square(y).sum()))
     return float((x * y).sum()) / size if size > 0 else None
 

@@ -14,7 +14,8 @@ from service.contract import FINGERS, Finger, Sensor, TactileFrame
 from service.perception.finger import TactileFinger
 from service.perception.lens import Warp
 from service.perception.markers.fingerprint import likeness
-from service.perception.rectification import Calibration, CalibrationError
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.rectification import Calibration, CalibrationError, Rectifier
 from service.tools.calibrate import find_grid, fit_camera, remark
 from service.tools.calibration_output import profile_of
 from simulation.optics.appearance import Appearance
@@ -192,6 +193,29 @@ def test_a_new_profile_has_the_frame_of_the_released_networks_where_gel_and_pict
     fit = fit_camera(image, "left", sensor)
     assert fit.residual_px < 0.5
     assert fit.camera.mm_per_px == sensor.mm_per_px
+
+
+def test_a_new_profile_ends_where_the_picture_of_a_larger_gel_ends():
+    """What the frame had beyond the picture would be black, and the tracker would take its edge for more markers."""
+    whole = still(renderer("left", 1))
+    image = whole[60:250, 110:320]
+    grid = find_grid(image, "left", None)
+    sensor = profile_of(image, grid, "mine", 1.05, 30, Sensor.load())
+    fit = fit_camera(image, "left", sensor)
+    shown = MarkerTracker().update(Rectifier(fit.camera).apply(image), 0)
+    assert (sensor.marker_rows, sensor.marker_columns) == grid.shape
+    assert shown.valid.shape == grid.shape
+
+
+def test_a_new_profile_fits_the_picture_that_it_was_made_from_through_a_wide_lens():
+    """Beyond the outer markers such a lens squeezes the picture, and four corners cannot state that."""
+    mini = Renderer(Appearance.draw(load_scene("circle", camera__sensor="gelsight_mini"), "left", 3))
+    off = np.stack(np.meshgrid(np.arange(320), np.arange(240)), -1).astype(np.float32) - (159.5, 119.5)
+    source = (159.5, 119.5) + off * (1 + 0.9 * np.square(off / 200).sum(-1, keepdims=True)) / 1.2
+    flat = mini.raw(np.zeros((7, 9, 3), np.float32), 0)
+    image = cv2.remap(flat, source.astype(np.float32), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    sensor = profile_of(image, find_grid(image, "left", None), "mine", 2.0, 30)
+    assert fit_camera(image, "left", sensor).residual_px < 0.5
 
 
 def test_a_new_profile_that_no_sensor_option_could_name_is_refused(tmp_path, capsys):

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from service.__main__ import main
 from service.perception.lens import Lens, Projection
 from service.tools.grid_fit import fit_grid
 
@@ -88,3 +89,38 @@ def test_a_gel_without_markers_shows_no_grid(seed):
     rng = np.random.default_rng(seed)
     noise = cv2.GaussianBlur(rng.normal(0, 60, (320, 427, 3)), (0, 0), 5) * 6 + 120
     assert fit_grid(np.clip(noise, 0, 255).astype(np.uint8)) is None
+
+
+def printed(cells: np.ndarray, ink: float) -> np.ndarray:
+    """A frame of round markers at ``cells`` [n, 2], 24 px apart; dark by a share of the light, or lighter below 0."""
+    cover = np.zeros((320, 427), np.uint8)
+    for place in 24 * cells + 30:
+        cv2.circle(cover, _fixed(place), 5 * SCALE, 255, -1, cv2.LINE_AA, 3)
+    frame = 120 * (1 - ink * cv2.GaussianBlur(cover, (0, 0), 0.8) / 255.0)
+    noise = np.random.default_rng(0).normal(0, 3, (320, 427, 3))
+    return np.clip(frame[..., None] + noise, 0, 255).astype(np.uint8)
+
+
+CELLS = np.stack(np.meshgrid(np.arange(15), np.arange(11)), -1).reshape(-1, 2).astype(float)
+HEXAGONAL = (CELLS + np.stack([CELLS[:, 1] % 2 / 2, np.zeros(len(CELLS))], 1)) * [1, np.sqrt(3) / 2]
+
+
+def test_the_gaps_between_light_markers_are_no_markers():
+    """They form a regular grid, too, at the same or at half the distance."""
+    assert fit_grid(printed(CELLS, 0.5)).shape == (11, 15)
+    for ink in (-0.3, -0.8):
+        assert fit_grid(printed(CELLS, ink)) is None
+
+
+@pytest.mark.parametrize(
+    ("cells", "ink", "why"), [(HEXAGONAL, 0.7, "hexagonal"), (CELLS, -0.8, "lighter than the gel around them")]
+)
+def test_a_print_that_cannot_be_followed_is_named_and_leaves_no_profile(
+    cells: np.ndarray, ink: float, why: str, tmp_path, capsys
+):
+    """Offset rows fit a grid well, but rectified to right angles the gel would be sheared."""
+    picture, profile = tmp_path / "a.png", tmp_path / "mine.toml"
+    cv2.imwrite(str(picture), printed(cells, ink))
+    assert main(["calibrate", "--picture", str(picture), "--new-profile", str(profile)]) == 2
+    assert why in capsys.readouterr().err
+    assert not profile.exists()

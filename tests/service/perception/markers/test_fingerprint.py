@@ -1,0 +1,49 @@
+"""A gel is known again by its print, whichever of its border rows are seen; another gel is not taken for it."""
+
+import numpy as np
+import pytest
+
+from service.perception.markers.field import MarkerField
+from service.perception.markers.fingerprint import OTHER_GEL, TELLING_N, fingerprint_of, likeness
+from tests.service.perception.synthetic import grid
+
+ROWS, COLUMNS, PITCH_PX = 16, 18, 15.0
+
+
+def print_of(points: np.ndarray, rows: slice = slice(None), columns: slice = slice(None)) -> str:
+    """The fingerprint of the part of a gel that the tracker finds."""
+    rest = points[rows, columns].astype(np.float32)
+    shown = np.ones(rest.shape[:2], np.bool_)
+    assert shown.sum() >= TELLING_N
+    return fingerprint_of(MarkerField(rest, np.zeros_like(rest), shown, None, PITCH_PX, 0))
+
+
+GEL, OTHER = (grid(ROWS, COLUMNS, PITCH_PX, seed=seed) for seed in (0, 1))
+PARTS = {
+    "whole": (slice(None), slice(None)),
+    "a dark edge": (slice(0, -3), slice(None)),
+    "a row and a column less": (slice(1, None), slice(0, -1)),
+    "a row in, a row out": (slice(1, -1), slice(None)),
+}
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_a_gel_is_known_again_by_a_part_of_its_print(part: str):
+    alike = likeness(print_of(GEL), print_of(GEL, *PARTS[part]))
+    assert alike is not None
+    assert alike > 0.98
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_another_gel_is_not_taken_for_it_by_any_part_of_its_print(part: str):
+    alike = likeness(print_of(GEL), print_of(OTHER, *PARTS[part]))
+    assert alike is not None
+    assert alike < OTHER_GEL
+
+
+def test_a_picture_that_moved_by_a_row_shows_the_same_gel():
+    """The grid is as large as before; all its markers have other neighbours at the border."""
+    one, other = print_of(GEL, slice(0, -1), slice(1, None)), print_of(GEL, slice(1, None), slice(0, -1))
+    alike = likeness(one, other)
+    assert alike is not None
+    assert alike > 0.98
