@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from service.cameras.recorded import picture_in
 from service.contract import FINGERS, ContractError, Finger, Sensor
-from service.contract.sensor import DEFAULT_SENSOR
+from service.contract.sensor import DEFAULT_SENSOR, EDGES
 from service.perception.rectification import Calibration, CalibrationError, Rectifier
 from service.tools.calibrate import (
     Fit,
@@ -96,7 +96,7 @@ def _new_profile(options: argparse.Namespace, image: np.ndarray, name: str) -> S
     """A new profile from this picture, in the frame that the released networks read if it has room there."""
     if options.new_profile.suffix != ".toml":
         raise CalibrationError(f"--new-profile {options.new_profile}: expected a file name that ends in .toml")
-    grid = find_grid(image, name, None)
+    grid = find_grid(image, name, None, options.up)
     sensor = profile_of(image, grid, options.new_profile.stem, options.pitch_mm, options.fps, Sensor.load())
     save_profile(sensor, options.new_profile)
     print(f"wrote {options.new_profile}; markers taken as {options.pitch_mm:g} mm apart, {options.fps} frames a second")
@@ -138,6 +138,8 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--sensor", default=DEFAULT_SENSOR, help="name or TOML profile of the sensor (%(default)s)")
     parser.add_argument("--new-profile", type=Path, metavar="TOML", help="count the markers, write this profile")
     parser.add_argument("--pitch-mm", type=float, default=1.5, help="with --new-profile: distance of its markers (1.5)")
+    up_help = "with --new-profile: edge of the picture that shows the end of the gel away from the table (%(default)s)"
+    parser.add_argument("--up", choices=EDGES, default="top", help=up_help)
     parser.add_argument("--fps", type=int, default=30, help="with --new-profile: frames per second (30)")
     parser.add_argument("--out", type=Path, default=Path("calibration.toml"), help="file to write (calibration.toml)")
     parser.add_argument("--frames", type=int, default=15, help="frames per camera; their median is used (15)")

@@ -6,7 +6,7 @@ key says raw. Profiles that are known by name lie in `service/sensors`.
 
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ SENSORS = Path(__file__).parents[1] / "sensors"
 DEFAULT_SENSOR = "gelslim_2019"
 """The sensor of every dataset, checkpoint and model card older than its sensor field."""
 
+Edge = Literal["top", "right", "bottom", "left"]
+EDGES: tuple[Edge, ...] = get_args(Edge)
 Side = Annotated[int, Field(ge=64, le=MAX_SIDE_PX)]
 Point = Annotated[tuple[float, float], Field(strict=False)]
 Corners = Annotated[tuple[Point, Point, Point, Point], Field(strict=False)]
@@ -100,6 +102,12 @@ class Sensor(Contract):
     def _span_mm(self) -> NDArray[np.float64]:
         """From the first to the last marker along u and v, [2]."""
         return np.array([self.marker_columns - 1, self.marker_rows - 1]) * self.marker_pitch_mm
+
+    @property
+    def up(self) -> Edge:
+        """The edge of the raw frame at which the rectified one has its upper edge: how the camera is mounted."""
+        along = np.subtract(self.corners_raw_px[1], self.corners_raw_px[0])
+        return EDGES[round(float(np.arctan2(along[1], along[0])) / (np.pi / 2)) % 4]
 
     @property
     def raw(self) -> FrameSpec:

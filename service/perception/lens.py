@@ -135,20 +135,23 @@ class Projection:
             warp = Warp(warp.low * scale + shift, warp.high * scale + shift, warp.coefficients * scale)
         return Projection(change @ self.homography, self.lens, warp)
 
-    def magnified(self, factor: int) -> "Projection":
-        """The projection of a raw frame of which this one's is a copy, smaller by ``factor``."""
-        shift = (factor - 1) / 2  # pixel centres lie at integers
-        change = np.array([[1 / factor, 0, -shift / factor], [0, 1 / factor, -shift / factor], [0, 0, 1.0]])
+    def moved(self, change: Float64) -> "Projection":
+        """The projection of a raw frame to which the similarity ``change`` [3, 3] takes the points of this one's."""
         lens = self.lens
         if lens is not None:
-            centre_px = (lens.centre_px[0] * factor + shift, lens.centre_px[1] * factor + shift)
-            lens = Lens(centre_px, lens.scale_px * factor, lens.k1, lens.k2)
-        return Projection(self.homography @ change, lens, self.warp)
+            ((u, v),) = transformed(change, np.array([lens.centre_px])).tolist()
+            lens = Lens((u, v), lens.scale_px * scale_of(change), lens.k1, lens.k2)
+        return Projection(self.homography @ np.linalg.inv(change), lens, self.warp)
 
 
 def transformed(matrix: Float64, points: Float64) -> Float64:
     """Points [n, 2] after a homography [3, 3]."""
     return np.asarray(cv2.perspectiveTransform(np.asarray(points, np.float64).reshape(-1, 1, 2), matrix)[:, 0])
+
+
+def scale_of(similarity: Float64) -> float:
+    """The factor by which a similarity [3, 3] magnifies."""
+    return float(np.hypot(*similarity[0, :2]))
 
 
 def order_of(terms: int) -> int:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from service.cameras.capture import CameraError
 from service.cameras.sources import open_source
 from service.contract import Finger, FrameSpec, Sensor
+from service.contract.sensor import Edge
 from service.perception.lens import transformed
 from service.perception.markers.fingerprint import fingerprint_of
 from service.perception.markers.tracker import MarkerTracker
@@ -75,9 +76,12 @@ def still_image(url: str, frames: int) -> NDArray[np.uint8]:
     return np.asarray(np.median(np.stack(images), axis=0), np.uint8)
 
 
-def find_grid(image: NDArray[np.uint8], name: str, sensor: Sensor | None) -> GridFit:
-    """The marker grid of a raw frame; raises CalibrationError naming ``name`` and the likely cause if there is none."""
-    grid = fit_grid(image, sensor)
+def find_grid(image: NDArray[np.uint8], name: str, sensor: Sensor | None, up: Edge = "top") -> GridFit:
+    """The marker grid of a raw frame; raises CalibrationError naming ``name`` and the likely cause if there is none.
+
+    Without a sensor that states it, the first row is that at the edge ``up``.
+    """
+    grid = fit_grid(image, sensor, up if sensor is None else sensor.up)
     if grid is None:
         cause = _cause(image, sensor)
         raise CalibrationError(f"{name}: no marker grid in the frame, and this software needs one; {cause}")
@@ -135,7 +139,8 @@ def refusal(fit: Fit, sensor: Sensor) -> str | None:
     if not of_sensor(fit.grid, sensor):
         return (
             f"{columns} x {rows} markers found, the profile {sensor.name} has {sensor.marker_columns} x"
-            f" {sensor.marker_rows}: is it another sensor (--new-profile), or does something touch the gel?"
+            f" {sensor.marker_rows}: is it another sensor or a turned camera (--new-profile), or does something"
+            " touch the gel?"
         )
     if fit.found_share < MIN_PRESENT:
         return (

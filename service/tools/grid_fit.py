@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import Sensor
-from service.perception.lens import Float64, Projection
+from service.contract.sensor import EDGES, Edge
+from service.perception.lens import Float64, Projection, scale_of, transformed
 from service.perception.markers.detect import Candidates, MarkerDetector
 from service.perception.markers.field import BoolArray
 from service.perception.markers.lattice import Lattice, find_lattice
@@ -69,28 +70,35 @@ class GridFit:
         """Distance of each marker from its node, in grid units [n, 2]."""
         return self.projection.plane(self.raw_px) - self.cells
 
-    def magnified(self, factor: int) -> "GridFit":
-        """The grid of the raw frame of which this one's is a copy, smaller by ``factor``."""
+    def moved(self, change: Float64) -> "GridFit":
+        """The grid in a raw frame to which the similarity ``change`` [3, 3] takes the points of this one's."""
+        scale = scale_of(change)
         return replace(
             self,
-            raw_px=self.raw_px * factor + (factor - 1) / 2,
-            projection=self.projection.magnified(factor),
-            pitch_px=self.pitch_px * factor,
-            diameter_px=self.diameter_px * factor,
+            raw_px=transformed(change, self.raw_px),
+            projection=self.projection.moved(change),
+            pitch_px=self.pitch_px * scale,
+            diameter_px=self.diameter_px * scale,
         )
 
 
-def fit_grid(image: Image, sensor: Sensor | None = None) -> GridFit | None:
+def fit_grid(image: Image, sensor: Sensor | None = None, up: Edge = "top") -> GridFit | None:
     """The grid of a raw frame uint8 [h, w, 3], or None; at most the rows and columns of ``sensor``, if given.
 
-    A large frame is searched in a smaller copy, since the filters are made for markers of up to 25 px.
+    Its first row is that at the edge ``up``. A large frame is searched in a smaller copy, since the filters are made
+    for markers of up to 25 px.
     """
+    if up != "top":
+        turns = EDGES.index(up)
+        fit = fit_grid(np.ascontiguousarray(np.rot90(image, turns)), sensor)
+        return None if fit is None else fit.moved(_turned(turns, image.shape[1], image.shape[0]))
     factor = -(-max(image.shape[:2]) // _LARGEST_PX)
     if factor > 1:
         whole = image[: image.shape[0] // factor * factor, : image.shape[1] // factor * factor]
         size = (whole.shape[1] // factor, whole.shape[0] // factor)
         fit = fit_grid(np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), np.uint8), sensor)
-        return None if fit is None else fit.magnified(factor)
+        shift = (factor - 1) / 2  # pixel centres lie at integers
+        return None if fit is None else fit.moved(np.array([[factor, 0, shift], [0, factor, shift], [0, 0, 1.0]]))
     best: GridFit | None = None
     for picture in _pictures(image):
         start = find_lattice(picture)
@@ -100,6 +108,15 @@ def fit_grid(image: Image, sensor: Sensor | None = None) -> GridFit | None:
         if best is not None and best.present.mean() > 0.85:
             break
     return best
+
+
+def _turned(turns: int, width_px: int, height_px: int) -> Float64:
+    """From the points of a frame after ``turns`` quarter turns to the left to those before, [3, 3]."""
+    change = np.eye(3)
+    for k in range(turns):
+        width = (width_px, height_px)[k % 2]
+        change = change @ np.array([[0, -1, width - 1], [1, 0, 0], [0, 0, 1.0]])
+    return change
 
 
 def _pictures(image: Image) -> Iterator[Image]:
