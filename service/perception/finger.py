@@ -73,7 +73,7 @@ class TactileFinger:
             return ""
         return (
             f"this is not the gel that the camera was calibrated with (fingerprints {alike:.2f} alike, expected"
-            f" {OTHER_GEL:g}): are the cameras swapped, is it another gel, or does something touch it?"
+            f" {OTHER_GEL:g}): are the cameras swapped, has one moved, is it another gel, or does something touch it?"
         )
 
     def forget_open(self) -> None:
