@@ -288,7 +288,8 @@ class Attempt:
                 return []
             pairs = list(self.ring)
             self.decision_pairs += pairs[index:]
-            conditions = self.conditions() | {"speed_mm_s": self.legs.speed_mm_s(self.onset_ns)}
+            going_mm_s = self.speed_mm_s and self.legs.speed_mm_s(self.onset_ns)  # 0 in a pause
+            conditions = self.conditions() | {"speed_mm_s": going_mm_s}
             self.descent = Descent(card, conditions, self.arm.press_mm, self.legs, self.arm.until_slip)
             fresh = self.descent.begin(pairs, index)
         self.steps += fresh

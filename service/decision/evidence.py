@@ -24,6 +24,11 @@ class Refusal(ContractError):  # noqa: N818 - a refusal is an answer, not an err
         self.reason: NoDecisionReason = reason
 
 
+def paused() -> Refusal:
+    """Of a press in which the arm paused, or touched as it did."""
+    return Refusal("stale", "the arm paused in the press: how deep it was in each picture is not known")
+
+
 @dataclass(frozen=True, slots=True)
 class Density:
     """A log density over the error: ``log_density`` [nx, ntheta] on the grid of a joint network, unnormalised."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from service.contract import ModelCard
 from service.contract.model_card import MARKER_PITCH, Lattice
-from service.decision.evidence import Refusal
+from service.decision.evidence import Refusal, paused
 from service.perception.markers.field import MarkerField, marker_array
 from service.perception.observation import PairObservation
 from service.perception.pressing import DepthSteps, Legs, lattice_weights, on_lattice
@@ -173,11 +173,13 @@ class Descent:
 
     def _check(self, pairs: list[PairObservation]) -> None:
         """Estimate conditions from the frames, and raise Refusal outside the networks' training range."""
-        if not self.conditions.get("speed_mm_s"):
+        if (speed_mm_s := self.conditions.get("speed_mm_s")) == 0.0:
+            raise paused()
+        if speed_mm_s is None:
             detail = "these networks read depth: expected `descending` with speed_mm_s"
             raise Refusal("out_of_distribution", detail)
         stamps_ns = np.array([pair.captured_ns for pair in pairs], np.float64)
         if len(stamps_ns) > 1:
             period_s = float(np.median(np.diff(stamps_ns))) * 1e-9
-            self.conditions["frame_spacing_mm"] = period_s * float(self.conditions["speed_mm_s"] or 0.0)
+            self.conditions["frame_spacing_mm"] = period_s * speed_mm_s
         check_trained(self.card, self.conditions, pairs[-1:])

@@ -12,7 +12,7 @@ from service.contract.model_card import CONDITIONS
 from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.consistency import turns_deg
 from service.decision.controllers import Command
-from service.decision.evidence import DecisionRun, Evidence, Refusal
+from service.decision.evidence import DecisionRun, Evidence, Refusal, paused
 from service.decision.models import ModelSet
 from service.decision.network_input import Descent, check_trained, network_pair
 from service.perception.observation import Observation, PairObservation
@@ -146,7 +146,7 @@ def check_evidence(models: ModelSet, attempt: Attempt, evidence: Evidence) -> No
     if not attempt.decision_pairs:
         raise Refusal("no_motion", "no pair shows the motion that the evidence is of")
     if attempt.paused_in_press:
-        raise Refusal("stale", "the arm paused in the press: how deep it was in each picture is not known")
+        raise paused()
     threshold = max(step.card.min_confidence for step in models.steps)
     if not evidence.confidence >= threshold:
         raise Refusal("low_confidence", f"class probability {evidence.confidence:.2f}, expected {threshold:g}")

@@ -16,6 +16,7 @@ from service.decision.attempt import Attempt
 from service.decision.evidence import Refusal
 from service.decision.models import ModelSet, load_models
 from service.decision.work import decide_again
+from service.perception.pressing import Legs
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import Insertion, stage
 
@@ -181,6 +182,19 @@ def test_a_speed_that_nobody_trained_for_is_refused_by_name(made: Callable[..., 
     refused = next(message for message in replies if isinstance(message, wire.NoDecision))
     assert refused.reason == "out_of_distribution"
     assert "speed_mm_s is 10" in refused.detail
+
+
+@pytest.mark.parametrize(
+    ("going_mm_s", "reason", "says"),
+    [(0.0, "stale", "the arm paused in the press"), (None, "out_of_distribution", "expected `descending` with speed")],
+)
+def test_a_touch_while_the_arm_paused_is_not_taken_for_a_speed_that_was_not_told(
+    made: Callable[..., ModelSet], monkeypatch, going_mm_s: float | None, reason: str, says: str
+) -> None:
+    monkeypatch.setattr(Legs, "speed_mm_s", lambda *_: going_mm_s)
+    _, replies = first_attempt(made())
+    refused = next(message for message in replies if isinstance(message, wire.NoDecision))
+    assert (refused.reason, says in refused.detail) == (reason, True)
 
 
 def test_a_gap_that_nobody_trained_for_is_refused_before_the_arm_goes_down(made: Callable[..., ModelSet]) -> None:
