@@ -225,7 +225,8 @@ def test_an_arm_is_started_moved_held_and_its_program_stopped():
     async def story():
         async with bench() as cell:
             arm, events = cell.settings.make_arm(), asyncio.Queue()
-            here = await arm.start(events.put_nowait)
+            # a busy machine makes gaps in the datagrams
+            here = await arm.start(lambda event: isinstance(event, Stood) or events.put_nowait(event))
             arm.move(here.at_height(here.z_mm - 2.0), "descend", 1e9)
             arrived = await asyncio.wait_for(events.get(), 20.0)
             arm.hold("test", stop=False)
