@@ -139,7 +139,7 @@ def drawn_worlds_page(data: Row) -> str:
     done = wilson(release["inserted"], release["insertions"])
     return page(
         f"""
-        # Drawn cells, simulated
+        # Drawn worlds, simulated
 
         **{release["claimed_wrongly"]} of {release["insertions"]} insertions of the release ended in a false claim:
         {wrong:.2%}**, with the 95 % Wilson interval. {done:.1%} were inserted.

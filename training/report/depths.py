@@ -198,8 +198,8 @@ def _parts(checkpoint: Checkpoint, measured_sha256: str, data: dict[str, Any]) -
         ## Upper bound
 
         A network of the same size receives the true motion of the object in the hand and the exact conditions, and
-        decides after 1.2 mm. A perfect reading of the gel could not know more. The bound is low because many errors
-        move an object alike.
+        decides after 1.2 mm. A perfect reading of the gel would tell such a network no more. The bound is low because
+        many errors move an object alike.
         """
     yield _table(data["limit"])
     yield from _held_out_parts(data)
@@ -218,7 +218,7 @@ def _held_out_parts(data: dict[str, Any]) -> Iterator[str | Table]:
         yield camera_table(data["cameras"])
     if data["reach"]:
         yield "## By shear reach, held-out decisions"
-        yield _table(data["reach"])
+        yield _table(data["reach"], first="shear reach")
     if "strange" in data:
         yield """
             ## Detection of faulty inputs

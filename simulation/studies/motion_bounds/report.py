@@ -14,17 +14,18 @@ def bounds_page(data: dict[str, Any]) -> str:
     rows: Rows = data["rows"]
     bounded, unbounded = ([row for row in rows if row["bounded"] is kind] for kind in (True, False))
     met = sum(row["injected"] for row in rows)
-    worst = max(bounded, key=lambda row: row["travel_mm"])
+    worst, worst_bounded = (max(some, key=lambda row: row["travel_mm"]) for some in (rows, bounded))
     return page(
         f"""
         # How far the arm moves once nobody watches, simulated
 
-        The worst of the {len(bounded)} faults that the lease bounds is *{worst["fault"]}, {worst["phase"]}*: the arm
-        travelled {worst["travel_mm"]:.2f} mm after the capture of the last judged frame. The limit is {BOUND_MM:g} mm.
-        {len(unbounded)} faults are [beyond it](#what-it-cannot-bound); there the arm travelled up to
-        {max((row["travel_mm"] for row in unbounded), default=0.0):.2f} mm.
+        The worst of {len(rows)} faults is *{worst["fault"]}, {worst["phase"]}*: the arm travelled
+        {worst["travel_mm"]:.2f} mm after the capture of the last judged frame. The motion lease [cannot
+        bound](#what-it-cannot-bound) {len(unbounded)} of the faults. The worst of the {len(bounded)} that it bounds is
+        *{worst_bounded["fault"]}, {worst_bounded["phase"]}*: {worst_bounded["travel_mm"]:.2f} mm. The limit is
+        {BOUND_MM:g} mm.
 
-        The largest force was {max(row["force_n"] for row in bounded):.1f} N; the limit is {MOST_N:g} N. After a hold,
+        The largest force was {max(row["force_n"] for row in rows):.1f} N; the limit is {MOST_N:g} N. After a hold,
         nothing moved by more than {max(row["moved_mm"] for row in rows):.2f} mm.
         {sum(row["hung"] for row in rows)} processes hung, and {sum(row["tracebacks"] > 0 for row in rows)} wrote a
         traceback. All figures are simulated.

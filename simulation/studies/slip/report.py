@@ -15,7 +15,7 @@ def slip_page(report: Row) -> str:
     images, held_out = report["slip"]["images"], report["slip"]["held out, images"]
     return page(
         f"""
-        # Slip and marker tracking, measured
+        # Slip and marker tracking, simulated
 
         Slip detection from images misses {_share(images["misses"])} of {images["trials"]} simulated trials and raises a
         false alarm in {_share(images["false"])}. On the held-out trials alone it misses {_share(held_out["misses"])} of
