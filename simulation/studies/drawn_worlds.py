@@ -134,15 +134,17 @@ def _deciles(rows: Sequence[Row], reach: Any) -> Iterator[Row]:
 
 
 def drawn_worlds_page(data: Row) -> str:
-    release = data["release"]
-    wrong = wilson(release["claimed_wrongly"], release["insertions"])
-    done = wilson(release["inserted"], release["insertions"])
+    release, starts_n = data["release"], data["variants"][0]["insertions"]
+    ours = data["variants"][: release["insertions"] // starts_n]
+    wrong = wilson(max(row["claimed_wrongly"] for row in ours), starts_n)
+    done = wilson(min(row["inserted"] for row in ours), starts_n)
     return page(
         f"""
         # Drawn worlds, simulated
 
-        **{release["claimed_wrongly"]} of {release["insertions"]} insertions of the release ended in a false claim:
-        {wrong:.2%}**, with the 95 % Wilson interval. {done:.1%} were inserted.
+        **{release["claimed_wrongly"]} of {release["insertions"]} insertions of the release ended in a false claim.**
+        Its variants play the same {starts_n} starts, so shares are of one variant, with the 95 % Wilson interval: at
+        worst {wrong:.2%} were false claims, and {done:.1%} were inserted.
 
         ## How it was measured
 

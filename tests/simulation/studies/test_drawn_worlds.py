@@ -1,5 +1,6 @@
 """Every variant begins from the same starts, and the page counts what the rows hold."""
 
+from reporting.statistics import wilson
 from simulation.scene import drawn
 from simulation.studies import drawn_worlds
 from simulation.studies.drawn_worlds import Start, Variant
@@ -70,4 +71,6 @@ def test_untrue_claims_come_first_and_deciles_hold_every_row(tmp_path):
     assert data["variants"][0]["covered_x"] == 1.0
     assert data["variants"][0]["covered_theta"] == 0.0
     text = drawn_worlds.drawn_worlds_page(data)
-    assert "**2 of 40 insertions of the release ended in a false claim" in " ".join(text.split())
+    prose = " ".join(text.split())
+    assert "**2 of 40 insertions of the release ended in a false claim" in prose
+    assert f"at worst {wilson(1, 20):.2%} were false claims" in prose, "variants of one start are not so many starts"

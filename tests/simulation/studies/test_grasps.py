@@ -106,7 +106,9 @@ def test_the_page_is_written_from_rows_and_labels_and_refuses_a_part(tmp_path, c
         (tmp_path / f"{name}.json").write_text(json.dumps(content))
     given = [f"--{name}={tmp_path}/{name}.json" for name in ("rows", "labels", "evidence")] + [f"--out={tmp_path}"]
     assert main(["grasps", *given]) == 0
-    assert "| box_2_slip | 40 | 60 | 20 | 30 | 58 | 70 | - |" in (tmp_path / "real_grasps.md").read_text()
+    text = (tmp_path / "real_grasps.md").read_text()
+    assert "| box_2_slip | 40 | 60 | 20 | 30 | 58 | 70 | - |" in text
+    assert "What ships detected 1 of 3 visible slides" in text
     (tmp_path / "rows.json").write_text(json.dumps(rows()[1:]))
     assert main(["grasps", *given]) == 2
     assert "no rows of box_1_slip" in capsys.readouterr().err

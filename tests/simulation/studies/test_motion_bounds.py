@@ -105,7 +105,9 @@ def test_the_page_tells_what_the_lease_bounds_from_what_it_does_not(tmp_path):
     row |= {"ended": "arm: unwatched", "inserted": False, "hung": False, "tracebacks": 0, "bounded": True, "held": True}
     (tmp_path / "rows.jsonl").write_text(json.dumps(row) + "\n")
     assert rows_in(tmp_path) == {("f", "air"): row}
-    text = bounds_page({"rows": [row, row | {"fault": "g", "bounded": False, "travel_mm": 9.0}]})
+    text = bounds_page({"rows": [row, row | {"fault": "g", "bounded": False, "travel_mm": 9.0, "force_n": 19.0}]})
+    assert "The worst of 2 faults is *g, air*: the arm travelled 9.00 mm" in " ".join(text.split())
+    assert "The largest force was 19.0 N" in text
     assert text.index("| f | air | 1.10 |") < text.index("What it cannot bound") < text.index("| g | air | 9.00 |")
 
 

@@ -23,6 +23,7 @@ from simulation.studies.pace.front import beaten_by, front
 from simulation.studies.pace.groups import groups
 from simulation.studies.pace.kept import kept
 from simulation.studies.pace.points import BEFORE, POINTS, SHIPPED, Point, client, tasks, with_care
+from simulation.studies.pace.report import pace_page
 
 SHIPPED_CLIENT = client()
 FACTS = {
@@ -169,6 +170,15 @@ def test_seconds_in_lock_step_add_up_and_what_ships_is_slow_only_around_the_tops
     assert shipped["seconds"]["fast descent"] == pytest.approx(2.0, abs=0.3)
     slow_mm_s = SHIPPED_CLIENT["ramps"]["descend"]["speed_mm_s"]
     assert shipped["seconds"]["guarded descent"] == pytest.approx(6.0 / slow_mm_s, abs=0.3)  # the band is 6 mm high
+
+
+def test_the_page_counts_false_claims_among_claims():
+    data = json.loads((Path(__file__).parents[3] / "docs" / "pace.json").read_text())
+    data["points"] = [row | {"inserted": 90, "claimed_wrongly": 0, "untrue": []} for row in data["points"]]
+    data["points"][0] |= {"claimed_wrongly": 1, "untrue": [[7, "it is tilted"]]}
+    text = " ".join(pace_page(data).split())
+    assert f"1 of {90 * len(data['points']) + 1} claims were false" in text
+    assert "**False claims: 1.** Start 7, before: it is tilted." in text
 
 
 def test_what_the_page_shows_of_others_is_what_they_say_today():
