@@ -41,12 +41,12 @@ def serving_page(facts: dict[str, Any]) -> str:
             ("quantity", "quantity"),
             ("measured", "measured"),
             ("target", "target"),
-            ("met", lambda row: REACHED[row.reached]),
+            ("met", lambda row: "" if row.reached and not row.target else REACHED[row.reached]),
             ("load", "load", ".1f"),
         ),
         f"**Not measured:** {'; '.join(unmeasured)}." if unmeasured else "",
         NOTES,
-        "\n".join(f"- {name}: {facts[name]['note']}" for name in ROWS if "note" in facts.get(name, {})),
+        "\n".join(f"- {facts[name]['note']}" for name in ROWS if "note" in facts.get(name, {})),
         fleet_section(facts),
     )
 

@@ -119,7 +119,8 @@ def theory_page(grids: tuple[int, ...], draws: int) -> str:
         """
         # The simulator beside theory
 
-        Relative errors through the whole cell: grasp, equilibrium and pads.
+        Relative errors of the simulated contact against closed forms, through the whole cell: grasp,
+        equilibrium and pads.
         """,
         table(
             rows,
