@@ -186,7 +186,7 @@ def trust_page(data: Row) -> str:
             ("fault", "fault"),
             ("insertions", "insertions", "d"),
             ("false claims", "claimed_wrongly", "d"),
-            ("share", lambda row: wilson(row["claimed_wrongly"], row["insertions"]), ".1%"),
+            ("share", lambda row: wilson(row["claimed_wrongly"], row["insertions"]), ".2%"),
             ("true claims", "inserted", "d"),
             ("in the gap, not claimed", "good_refused", "d"),
             ("void", "void", "d"),
