@@ -120,6 +120,12 @@ class Levels:
         self.cycle = Cycle(TAUGHT, errands, insert, lambda _text: None, plc=Handshake(HandshakeSettings(), self))
         return asyncio.ensure_future(self.cycle.run(1))
 
+    async def offered(self):
+        """A running cycle that is ready for a part."""
+        running = self.run()
+        await self.until(Ready=True)
+        return running
+
     async def until(self, **expected):
         async with asyncio.timeout(5.0):
             while any(self.levels[f"doTactile{name}"] != on for name, on in expected.items()):  # noqa: ASYNC110
@@ -129,8 +135,7 @@ class Levels:
 def test_a_part_that_was_requested_before_a_pause_is_begun_after_it():
     async def story():
         plc = Levels()
-        running = plc.run()
-        await plc.until(Ready=True)
+        running = await plc.offered()
         plc.cycle.pace.order("pause")
         plc.levels["diTactileStart"] = True
         await plc.until(Ready=False)
@@ -148,8 +153,7 @@ def test_a_part_that_was_requested_before_a_pause_is_begun_after_it():
 def test_a_part_that_is_requested_in_a_pause_is_a_fault_and_moves_nothing():
     async def story():
         plc = Levels()
-        running = plc.run()
-        await plc.until(Ready=True)
+        running = await plc.offered()
         plc.cycle.pace.order("pause")
         await plc.until(Ready=False)
         await asyncio.sleep(0.5)
@@ -165,8 +169,7 @@ def test_a_part_that_is_requested_in_a_pause_is_a_fault_and_moves_nothing():
 def test_a_plc_whose_request_a_person_has_stopped_is_told_by_a_fault():
     async def story():
         plc = Levels()
-        running = plc.run()
-        await plc.until(Ready=True)
+        running = await plc.offered()
         plc.cycle.pace.order("stop")
         plc.levels["diTactileStart"] = True
         with pytest.raises(CycleHeldError, match="the part that the PLC requests was not begun"):
@@ -179,8 +182,7 @@ def test_a_plc_whose_request_a_person_has_stopped_is_told_by_a_fault():
 def test_a_plc_that_took_its_request_back_cannot_miss_that_the_part_is_done():
     async def story():
         plc = Levels(lambda levels: levels.update(diTactileStart=False))  # as one that was restarted
-        running = plc.run()
-        await plc.until(Ready=True)
+        running = await plc.offered()
         plc.levels["diTactileStart"] = True
         with pytest.raises(DriverError, match="see that the PLC does not ask for it again"):
             await running
