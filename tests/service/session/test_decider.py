@@ -114,6 +114,14 @@ def test_an_attempt_that_cannot_be_trusted_is_answered_with_the_reason_and_moves
     assert one.command is None, "the last move is none of this attempt's"
 
 
+def test_evidence_that_is_less_sure_than_the_card_asks_for_moves_nothing() -> None:
+    card = tiny_models.card("direction", "step", min_confidence=0.999)
+    models: Any = SimpleNamespace(card=card, steps=[SimpleNamespace(card=card)])
+    answer = decider(models=models).conclude(blocked(), STOPPED_NS + MS)
+    assert isinstance(answer, wire.NoDecision)
+    assert answer.reason == "low_confidence"
+
+
 def test_answered_attempts_are_what_the_next_claim_is_checked_against() -> None:
     one = decider()
     attempt = blocked(onset_ns=STOPPED_NS - S // 2, descending_ns=STOPPED_NS - 2 * S, depth_mm=10.0)

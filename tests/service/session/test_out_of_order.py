@@ -111,14 +111,6 @@ def test_a_failing_camera_ends_no_arming_and_disturbs_nobody_between_attempts(se
     assert not session.attempt.spoilt, "its reference was taken later"
 
 
-def test_who_says_hello_again_changes_nothing(session: InsertionSession) -> None:
-    again = wire.ClientHello(insertion_id=ID, client="test", controller="heuristic", takes_afresh=True)
-    (hello,) = session.handle(again, 5)
-    assert hello.controller == "belief"
-    assert (hello.limits.max_dx_mm, hello.limits.max_dtheta_deg, hello.limits.max_frame_age_ms) == (15.0, 15.0, 500.0)
-    assert not session.takes_afresh
-
-
 def test_slip_is_told_once_and_an_attempt_that_went_down_is_not_armed_again(session: InsertionSession) -> None:
     """Who arms it again has not told where the arm stopped: how far that turned the object is not known."""
     arm(session)

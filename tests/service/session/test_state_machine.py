@@ -6,7 +6,6 @@ import pytest
 
 from service.contract import wire
 from service.decision.models import ModelSet, load_models
-from service.decision.work import arrays_of
 from service.session.factory import make_session
 from service.session.state_machine import InsertionSession
 from tests.service import drawn, tiny_models
@@ -63,21 +62,6 @@ def test_a_blocked_attempt_arms_slips_and_is_corrected(session: InsertionSession
     assert sum(correction.class_probabilities.values()) == pytest.approx(1)
     assert set(correction.latency_ms) >= {"rectify", "markers", "slip", "networks_last_step", "controller"}
     assert 0.0 <= correction.latency_ms["since_last_frame"] <= 3 * drawn.PERIOD_NS / 1e6
-
-
-def test_the_decision_rests_on_eight_pairs_from_the_onset(session: InsertionSession) -> None:
-    attempts = []
-    session.on_attempt = attempts.append
-    hello(session)
-    probe(session, 1, 0)
-    (attempt,) = attempts
-    numbers = [pair.seq for pair in attempt.decision_pairs]
-    assert numbers == list(range(numbers[0], numbers[0] + 8))
-    assert abs(numbers[0] - 10) <= 1
-    arrays = arrays_of(attempt)
-    assert arrays["frames"].shape == (8, 2, 320, 327, 3)
-    assert arrays["displacement_px"].shape == (2, 20, 21, 2)
-    assert (arrays["reference"] == arrays["frames"][0]).all()
 
 
 def goes_in(session: InsertionSession, attempt: int, **stated: Any) -> wire.Finished:
@@ -141,22 +125,6 @@ def test_only_the_attempt_after_a_decided_one_is_armed(
     if not decided:
         assert kinds(session.handle(arm, 10**10)) == ["armed"], "a repeated arm is answered again"
         assert session.attempt is first
-
-
-def test_a_lost_camera_during_a_descent_means_no_decision(session: InsertionSession) -> None:
-    hello(session)
-    session.handle(wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0), 0)
-    session.on_pair(drawn.pair(0), 0)
-    assert session.on_camera_fault("camera_lost", "left gone")[0].code == "camera_lost"
-    stop = wire.Stopped(insertion_id=ID, attempt=1, depth_mm=6.0, outcome="blocked")
-    (refused,) = session.handle(stop, 1)
-    assert (refused.type, refused.reason) == ("no_decision", "stale")
-
-
-def test_another_protocol_is_refused(session: InsertionSession) -> None:
-    (fault,) = session.handle(wire.ClientHello(insertion_id=ID, client="old", protocol=99), 0)
-    assert fault.fatal
-    assert "protocol 99" in fault.detail
 
 
 def armed_with(session: InsertionSession, index: int) -> list:
