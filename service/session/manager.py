@@ -19,7 +19,7 @@ from service import __version__
 from service.cameras.capture import Camera, now_ns
 from service.contract import FINGERS, Finger, wire
 from service.contract.refusals import reason
-from service.contract.replies import beat, descended_n, unspoken
+from service.contract.replies import beat, descended_n
 from service.decision.models import ModelSet
 from service.decision.work import Work
 from service.observability.charts import Charts
@@ -109,9 +109,6 @@ class InsertionManager:
 
     def connect(self, hello: wire.ClientHello, send: Send) -> None:
         """Connect a client that wants to drive: open an insertion, or resume its own one after a lost connection."""
-        if refused := unspoken(hello):
-            send(refused)
-            return
         if ended := self.ended.get(hello.insertion_id):  # the client that drives now is not disturbed
             send(ended)
             return
