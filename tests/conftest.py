@@ -9,6 +9,7 @@ import os
 import tempfile
 from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 from service.session.memory import stop_searching_what_stays
@@ -26,3 +27,9 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same everywhere"))
 def pytest_collection_finish() -> None:
     """As the service does: searching all that was imported would stop every thread for a third of a second."""
     stop_searching_what_stays()
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    """Tests that are coroutines run on the event loop of the product."""
+    return "asyncio"

@@ -1,6 +1,5 @@
 """A new arm or gripper is one folder and one line; an unknown one is refused with the nearest known name."""
 
-import asyncio
 import subprocess
 import sys
 
@@ -145,17 +144,14 @@ def config(tmp_path, monkeypatch):
         del sys.modules[name]
 
 
-def test_a_new_arm_and_a_new_gripper_insert(config):
-    async def story():
-        settings = load_settings(config)
-        plan = make_plan(settings, 8.0, 6.0, "toy", None)
-        arm, gripper = settings.make_arm(), settings.make_gripper()
-        service = DryService("toy", settings.limits, plan.approach.z_mm)
-        arm.on_target = service.watch
-        run = Runner(plan, arm, gripper, service, Recorder(None, plan))
-        return await run.run(), run.farewell
-
-    state, farewell = asyncio.run(story())
+async def test_a_new_arm_and_a_new_gripper_insert(config):
+    settings = load_settings(config)
+    plan = make_plan(settings, 8.0, 6.0, "toy", None)
+    arm, gripper = settings.make_arm(), settings.make_gripper()
+    service = DryService("toy", settings.limits, plan.approach.z_mm)
+    arm.on_target = service.watch
+    run = Runner(plan, arm, gripper, service, Recorder(None, plan))
+    state, farewell = await run.run(), run.farewell
     assert (state.phase, state.attempt) == (Phase.INSERTED, 3), state.reason
     assert farewell == "the crane is parked"
 

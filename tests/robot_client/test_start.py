@@ -138,14 +138,11 @@ def test_a_stop_that_the_controller_ignores_is_reported_as_not_confirmed():
     assert "NOT CONFIRMED" in asyncio.run(story())
 
 
-def test_an_errand_whose_stop_is_not_confirmed_says_so():
-    async def story():
-        async with bench(overrides={"robot": {"rws": {"stop_timeout_s": 0.3}}}) as cell:
-            cell.board.update({"rws": {"stop_ignored": True}})
-            with pytest.raises(DriverError, match=r"STOP NOT CONFIRMED .*: use the stop button"):
-                await cell.settings.errands.go(straight_up(1.0))
-
-    asyncio.run(story())
+async def test_an_errand_whose_stop_is_not_confirmed_says_so():
+    async with bench(overrides={"robot": {"rws": {"stop_timeout_s": 0.3}}}) as cell:
+        cell.board.update({"rws": {"stop_ignored": True}})
+        with pytest.raises(DriverError, match=r"STOP NOT CONFIRMED .*: use the stop button"):
+            await cell.settings.errands.go(straight_up(1.0))
 
 
 def test_a_stop_survives_refusals_and_cut_connections():
@@ -168,15 +165,12 @@ def test_an_rws_url_that_is_none_is_refused(url):
         load_settings(None, {"robot": {"rws": {"url": url}}})
 
 
-def test_a_foreign_host_is_not_guided():
-    async def story():
-        async with bench(overrides={"robot": {"robot_host": "127.0.0.9", "ready_timeout_s": 0.3}}) as cell:
-            with pytest.raises(DriverError, match=r"datagrams came, none from 127\.0\.0\.9"):
-                await cell.insert()
-            assert cell.egm.counters.received == 0
-            await _still(cell)
-
-    asyncio.run(story())
+async def test_a_foreign_host_is_not_guided():
+    async with bench(overrides={"robot": {"robot_host": "127.0.0.9", "ready_timeout_s": 0.3}}) as cell:
+        with pytest.raises(DriverError, match=r"datagrams came, none from 127\.0\.0\.9"):
+            await cell.insert()
+        assert cell.egm.counters.received == 0
+        await _still(cell)
 
 
 def test_an_rws_error_is_a_driver_error():

@@ -186,15 +186,12 @@ def test_the_last_screen_counts_the_attempts_of_all_grasps(monkeypatch, capsys):
     assert f"INSERTED after {json.loads(printed.out)['attempts']} attempts" in printed.err
 
 
-def test_check_reads_every_device_and_moves_nothing(capsys):
-    async def story():
-        async with bench() as cell:
-            outcome = await _check(cell.settings)
-            moved = {pose.position_mm for _, _, pose in cell.trace}
-            commands = set(cell.wsg.counters.commands)
-            return outcome, moved, commands, cell.cabinet.running, cell.service.received
-
-    outcome, moved, commands, running, received = asyncio.run(story())
+async def test_check_reads_every_device_and_moves_nothing(capsys):
+    async with bench() as cell:
+        outcome = await _check(cell.settings)
+        moved = {pose.position_mm for _, _, pose in cell.trace}
+        commands = set(cell.wsg.counters.commands)
+        running, received = cell.cabinet.running, cell.service.received
     out = capsys.readouterr().out
     assert outcome.done, out
     assert len(moved) == 1
@@ -217,13 +214,10 @@ def test_check_names_what_is_not_ready(capsys):
     assert "BAD  service" in out
 
 
-def test_jog_goes_up_over_and_down(capsys):
-    async def story():
-        async with bench() as cell:
-            outcome = await _jog(cell.settings, WorkPose(x_mm=-4.0, y_mm=1.0, z_mm=36.0, yaw_deg=-5.0))
-            return outcome, cell.cabinet.arm.pose, [pose for _, _, pose in cell.trace]
-
-    outcome, pose, path = asyncio.run(story())
+async def test_jog_goes_up_over_and_down(capsys):
+    async with bench() as cell:
+        outcome = await _jog(cell.settings, WorkPose(x_mm=-4.0, y_mm=1.0, z_mm=36.0, yaw_deg=-5.0))
+        pose, path = cell.cabinet.arm.pose, [pose for _, _, pose in cell.trace]
     assert outcome.done
     assert pose.position_mm == pytest.approx((-4.0, 1.0, 36.0), abs=0.05)
     assert pose.yaw_deg == pytest.approx(-5.0, abs=0.1)

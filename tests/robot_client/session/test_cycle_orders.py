@@ -34,7 +34,7 @@ class Signals:
 
 
 @pytest.mark.parametrize("word", ["pause", "stop"])
-def test_no_part_is_picked_after_an_order_that_came_together_with_the_plcs_start(word):
+async def test_no_part_is_picked_after_an_order_that_came_together_with_the_plcs_start(word):
     went = []
 
     async def go(way):
@@ -43,17 +43,14 @@ def test_no_part_is_picked_after_an_order_that_came_together_with_the_plcs_start
     async def is_empty(_work):
         return True
 
-    async def story():
-        signals = Signals(lambda: cycle.pace.order(word))
-        errands = SimpleNamespace(go=go, with_gripper=is_empty)
-        cycle = Cycle(TAUGHT, errands, None, lambda _text: None, plc=Handshake(HandshakeSettings(), signals))
-        task = asyncio.ensure_future(cycle.run(None))
-        await asyncio.wait({task}, timeout=2.0)
-        assert signals.reads_n >= 3
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-
-    asyncio.run(story())
+    signals = Signals(lambda: cycle.pace.order(word))
+    errands = SimpleNamespace(go=go, with_gripper=is_empty)
+    cycle = Cycle(TAUGHT, errands, None, lambda _text: None, plc=Handshake(HandshakeSettings(), signals))
+    task = asyncio.ensure_future(cycle.run(None))
+    await asyncio.wait({task}, timeout=2.0)
+    assert signals.reads_n >= 3
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
     assert went == []
 
 

@@ -46,16 +46,12 @@ def test_a_cell_whose_lateness_is_neither_measured_nor_set_inserts_nothing(tmp_p
         (0.29, False, "descend more slowly than 4.8 mm/s"),
     ],
 )
-def test_check_tells_how_late_the_cell_is_and_refuses_one_that_is_too_late(tmp_path, late, good, says):
+async def test_check_tells_how_late_the_cell_is_and_refuses_one_that_is_too_late(tmp_path, late, good, says):
     path = tmp_path / "commissioning.json"
     made = series_of(late - LEAST_OPEN_S, frame_s=0.0) if late else ()
     keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), timed=tuple(made)))
     real = Settings(commissioning=path, lease=Lease(stop_lag_s=0.04))
-
-    async def cell():
-        return [finding async for name, finding in findings_of(real) if name == "cell"]
-
-    (finding,) = asyncio.run(cell())
+    (finding,) = [finding async for name, finding in findings_of(real) if name == "cell"]
     assert finding.good == good
     assert says in finding.text
 

@@ -75,138 +75,122 @@ def test_an_event_of_another_clock_ends_the_insertion_instead_of_its_deadlines()
     assert notes == ["hold arm"]
 
 
-def test_an_operator_who_presses_twice_does_not_break_off_the_stop_that_the_first_press_asked_for():
-    async def story():
-        notes = []
-        run = runner(notes)
-        task = asyncio.ensure_future(run.run())
-        await asyncio.sleep(0.05)
-        for _ in range(3):
-            task.cancel()
-            await asyncio.sleep(0)
-            await asyncio.sleep(0)
-        for port in (run.arm, run.service, run.gripper):
-            port.closing.set()
-        state = await task
-        assert notes[-6:] == [
-            f"{word} {name}" for name in ("arm", "service", "gripper") for word in ("stopping", "stopped")
-        ]
-        assert (state.phase, run.farewell) == (Phase.FAILED, "controller confirms")
-
-    asyncio.run(story())
-
-
-@pytest.mark.parametrize("moving", ["insertion", "way"])
-def test_an_interrupt_while_a_step_closes_by_itself_keeps_the_next_step_from_beginning(moving):
-    async def story():
-        notes = []
-        run = runner(notes, service="gone")  # the insertion ends by itself
-        arm = Port("arm", notes)
-        arm.start = lambda _post: asyncio.sleep(0, PLAN.approach)
-        steps = {
-            "insertion": run.run,
-            "way": lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: []),
-        }
-        task = asyncio.ensure_future(steps[moving]())
-        await asyncio.sleep(0.05)
-        assert notes[-1] == "stopping arm"
+async def test_an_operator_who_presses_twice_does_not_break_off_the_stop_that_the_first_press_asked_for():
+    notes = []
+    run = runner(notes)
+    task = asyncio.ensure_future(run.run())
+    await asyncio.sleep(0.05)
+    for _ in range(3):
         task.cancel()
-        for port in (run.arm, run.service, run.gripper, arm):
-            port.closing.set()
-        with pytest.raises(asyncio.CancelledError):
-            await task
-        assert "stopped arm" in notes
-
-    asyncio.run(story())
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+    for port in (run.arm, run.service, run.gripper):
+        port.closing.set()
+    state = await task
+    assert notes[-6:] == [
+        f"{word} {name}" for name in ("arm", "service", "gripper") for word in ("stopping", "stopped")
+    ]
+    assert (state.phase, run.farewell) == (Phase.FAILED, "controller confirms")
 
 
 @pytest.mark.parametrize("moving", ["insertion", "way"])
-def test_an_interrupt_in_the_moment_in_which_a_step_ends_is_not_lost(moving):
+async def test_an_interrupt_while_a_step_closes_by_itself_keeps_the_next_step_from_beginning(moving):
+    notes = []
+    run = runner(notes, service="gone")  # the insertion ends by itself
+    arm = Port("arm", notes)
+    arm.start = lambda _post: asyncio.sleep(0, PLAN.approach)
+    steps = {
+        "insertion": run.run,
+        "way": lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: []),
+    }
+    task = asyncio.ensure_future(steps[moving]())
+    await asyncio.sleep(0.05)
+    assert notes[-1] == "stopping arm"
+    task.cancel()
+    for port in (run.arm, run.service, run.gripper, arm):
+        port.closing.set()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert "stopped arm" in notes
+
+
+@pytest.mark.parametrize("moving", ["insertion", "way"])
+async def test_an_interrupt_in_the_moment_in_which_a_step_ends_is_not_lost(moving):
     """`wait_for` returns what it has waited for, and forgets that the task was cancelled."""
+    notes, moves = [], []
+    run = runner(notes)
+    arm = Port("arm", notes)
+    for port in (run.arm, run.service, run.gripper, arm):
+        port.closing.set()
+    task = None
 
-    async def story():
-        notes, moves = [], []
-        run = runner(notes)
-        arm = Port("arm", notes)
-        for port in (run.arm, run.service, run.gripper, arm):
-            port.closing.set()
-        task = None
+    def together(what):
+        what()
+        task.cancel()
 
-        def together(what):
-            what()
+    async def start(post):
+        arm.post = post
+        return PLAN.approach
+
+    def move(target, _motion):
+        moves.append(target)
+        arrived = Arrived(at_s=0.0, pose=target)
+        asyncio.get_running_loop().call_later(0.02, together, lambda: arm.post(arrived))
+
+    arm.start, arm.move = start, move
+    corners = [(PLAN.approach, "travel"), (PLAN.approach.at_height(50.0), "travel")]
+    steps = {
+        "insertion": run.run,
+        "way": lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: corners),
+    }
+    task = asyncio.ensure_future(steps[moving]())
+    ended = Failure(at_s=0.0, source="service", code="link", detail="gone")
+    if moving == "insertion":
+        asyncio.get_running_loop().call_later(0.05, together, lambda: run.post(ended))
+    with pytest.raises((asyncio.CancelledError, DriverError)):
+        await task
+    assert len(moves) == (moving == "way")
+    assert any(note.startswith("stopped arm") for note in notes)
+
+
+@pytest.mark.parametrize("moving", ["insertion", "way"])
+async def test_an_interrupt_in_the_moment_in_which_the_arm_is_ready_moves_nothing(moving):
+    notes, moves, task = [], [], None
+    run = runner(notes)
+    for port in (run.arm, run.service, run.gripper):
+        port.closing.set()
+
+    async def start(_post):
+        ready = asyncio.Event()
+
+        def together():
+            ready.set()
             task.cancel()
 
-        async def start(post):
-            arm.post = post
-            return PLAN.approach
+        asyncio.get_running_loop().call_later(0.02, together)
+        await asyncio.wait_for(ready.wait(), 1.0)
+        return PLAN.approach
 
-        def move(target, _motion):
-            moves.append(target)
-            arrived = Arrived(at_s=0.0, pose=target)
-            asyncio.get_running_loop().call_later(0.02, together, lambda: arm.post(arrived))
-
-        arm.start, arm.move = start, move
-        corners = [(PLAN.approach, "travel"), (PLAN.approach.at_height(50.0), "travel")]
-        steps = {
-            "insertion": run.run,
-            "way": lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: corners),
-        }
-        task = asyncio.ensure_future(steps[moving]())
-        ended = Failure(at_s=0.0, source="service", code="link", detail="gone")
-        if moving == "insertion":
-            asyncio.get_running_loop().call_later(0.05, together, lambda: run.post(ended))
-        with pytest.raises((asyncio.CancelledError, DriverError)):
-            await task
-        assert len(moves) == (moving == "way")
-        assert any(note.startswith("stopped arm") for note in notes)
-
-    asyncio.run(story())
+    run.arm.start, run.arm.move = start, lambda *way: moves.append(way)
+    corners = [(PLAN.approach, "travel")]
+    steps = {
+        "insertion": run.run,
+        "way": lambda: Errands(lambda: run.arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: corners),
+    }
+    task = asyncio.ensure_future(steps[moving]())
+    (ended,) = await asyncio.wait_for(asyncio.gather(task, return_exceptions=True), 2.0)
+    assert isinstance(ended, DriverError) or ended.reason.startswith("operator")
+    assert moves == []
 
 
-@pytest.mark.parametrize("moving", ["insertion", "way"])
-def test_an_interrupt_in_the_moment_in_which_the_arm_is_ready_moves_nothing(moving):
-    async def story():
-        notes, moves, task = [], [], None
-        run = runner(notes)
-        for port in (run.arm, run.service, run.gripper):
-            port.closing.set()
-
-        async def start(_post):
-            ready = asyncio.Event()
-
-            def together():
-                ready.set()
-                task.cancel()
-
-            asyncio.get_running_loop().call_later(0.02, together)
-            await asyncio.wait_for(ready.wait(), 1.0)
-            return PLAN.approach
-
-        run.arm.start, run.arm.move = start, lambda *way: moves.append(way)
-        corners = [(PLAN.approach, "travel")]
-        steps = {
-            "insertion": run.run,
-            "way": lambda: Errands(lambda: run.arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: corners),
-        }
-        task = asyncio.ensure_future(steps[moving]())
-        (ended,) = await asyncio.wait_for(asyncio.gather(task, return_exceptions=True), 2.0)
-        assert isinstance(ended, DriverError) or ended.reason.startswith("operator")
-        assert moves == []
-
-    asyncio.run(story())
-
-
-def test_no_program_is_started_once_a_device_has_failed():
-    async def story():
-        notes = []
-        run = runner(notes, service="gone")
-        for port in (run.arm, run.service, run.gripper):
-            port.closing.set()
-        state = await run.run()
-        assert state.phase is Phase.FAILED
-        assert "start arm" not in notes
-
-    asyncio.run(story())
+async def test_no_program_is_started_once_a_device_has_failed():
+    notes = []
+    run = runner(notes, service="gone")
+    for port in (run.arm, run.service, run.gripper):
+        port.closing.set()
+    state = await run.run()
+    assert state.phase is Phase.FAILED
+    assert "start arm" not in notes
 
 
 class BrokenPipe:
@@ -219,30 +203,24 @@ class BrokenPipe:
         return {}
 
 
-def test_a_terminal_that_is_gone_ends_no_task_that_brings_events():
-    async def story():
-        run = runner([], observers=(BrokenPipe(),))
-        for event in TO_ARMING[:2]:
-            run.post(event)
-        assert run.state.phase is Phase.GRASPING
-
-    asyncio.run(story())
+async def test_a_terminal_that_is_gone_ends_no_task_that_brings_events():
+    run = runner([], observers=(BrokenPipe(),))
+    for event in TO_ARMING[:2]:
+        run.post(event)
+    assert run.state.phase is Phase.GRASPING
 
 
-def test_a_jog_that_is_interrupted_stops_the_arm_and_says_so_in_one_line(monkeypatch, capsys):
-    async def story():
-        arm = Port("arm", [])
-        arm.start = lambda _post: asyncio.Event().wait()
-        monkeypatch.setattr(Settings, "make_arm", lambda _settings: arm)
-        task = asyncio.ensure_future(jog._jog(Settings(), PLAN.approach))
-        for _ in range(3):
-            await asyncio.sleep(0)
-            task.cancel()
-        arm.closing.set()
-        with pytest.raises(DriverError, match="interrupted"):
-            await task
-
-    asyncio.run(story())
+async def test_a_jog_that_is_interrupted_stops_the_arm_and_says_so_in_one_line(monkeypatch, capsys):
+    arm = Port("arm", [])
+    arm.start = lambda _post: asyncio.Event().wait()
+    monkeypatch.setattr(Settings, "make_arm", lambda _settings: arm)
+    task = asyncio.ensure_future(jog._jog(Settings(), PLAN.approach))
+    for _ in range(3):
+        await asyncio.sleep(0)
+        task.cancel()
+    arm.closing.set()
+    with pytest.raises(DriverError, match="interrupted"):
+        await task
     assert "controller confirms" in capsys.readouterr().out
 
 

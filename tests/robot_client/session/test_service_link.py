@@ -29,7 +29,7 @@ class Script:
         return self.messages.pop(0)
 
 
-def test_a_defect_of_ours_in_handling_a_message_is_a_failure_at_once_and_not_a_silence():
+async def test_a_defect_of_ours_in_handling_a_message_is_a_failure_at_once_and_not_a_silence():
     events = []
 
     def post(event):
@@ -37,30 +37,24 @@ def test_a_defect_of_ours_in_handling_a_message_is_a_failure_at_once_and_not_a_s
         if not isinstance(event, Failure):
             raise ZeroDivisionError("a defect")
 
-    async def story():
-        link = ServiceLink(ServiceSettings(), ID)
-        link._connection, link._post = Script(armed(1), slip(1)), post
-        with pytest.raises(ZeroDivisionError):
-            await link._receive()
-
-    asyncio.run(story())
+    link = ServiceLink(ServiceSettings(), ID)
+    link._connection, link._post = Script(armed(1), slip(1)), post
+    with pytest.raises(ZeroDivisionError):
+        await link._receive()
     assert [type(event) for event in events[1:]] == [Failure]
     assert (events[1].source, events[1].code) == ("service", "internal")
     assert "ZeroDivisionError: a defect" in events[1].detail
 
 
-def test_what_nobody_takes_any_more_does_not_delay_the_end():
-    async def story():
-        async with serve(lambda connection: connection.close(), "127.0.0.1", 0) as server:
-            port = server.sockets[0].getsockname()[1]
-            link = ServiceLink(ServiceSettings(url=f"ws://127.0.0.1:{port}/v1/insertion"), ID)
-            await link.start(lambda _event: None)
-            await asyncio.sleep(0.05)
-            for _ in range(3):
-                link.send(Abort(insertion_id=ID, cause="operator", reason="operator: stop: interrupted"))
-            await asyncio.wait_for(link.close(), 0.5)
-
-    asyncio.run(story())
+async def test_what_nobody_takes_any_more_does_not_delay_the_end():
+    async with serve(lambda connection: connection.close(), "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        link = ServiceLink(ServiceSettings(url=f"ws://127.0.0.1:{port}/v1/insertion"), ID)
+        await link.start(lambda _event: None)
+        await asyncio.sleep(0.05)
+        for _ in range(3):
+            link.send(Abort(insertion_id=ID, cause="operator", reason="operator: stop: interrupted"))
+        await asyncio.wait_for(link.close(), 0.5)
 
 
 def heard_tokens(settings: ServiceSettings) -> list[str | None]:

@@ -63,20 +63,16 @@ def test_it_comes_to_a_fixture_from_above():
 
 
 @pytest.mark.parametrize(("taught", "clear_mm"), [(None, Settings().task.approach_z_mm), (TAUGHT, 53.0)])
-def test_a_jog_draws_an_object_out_of_the_blocks_and_lowers_it_into_its_fixture(taught, clear_mm):
+async def test_a_jog_draws_an_object_out_of_the_blocks_and_lowers_it_into_its_fixture(taught, clear_mm):
     """As after an insertion that ended in a hold."""
     if taught:
         taught = taught.model_copy(update={"pick": LOW.at_height(45.0)})
     end = LOW if taught is None else taught.pick
-
-    async def story():
-        async with bench() as cell:
-            cell.cabinet.arm.pose = Pose((0.0, 0.0, 12.0), tool_down(3.0))
-            cell.cabinet.arm.hold()
-            assert (await _jog(cell.settings.model_copy(update={"cycle": taught}), end)).done
-            return [pose.position_mm for _, _, pose in cell.trace]
-
-    path = asyncio.run(story())
+    async with bench() as cell:
+        cell.cabinet.arm.pose = Pose((0.0, 0.0, 12.0), tool_down(3.0))
+        cell.cabinet.arm.hold()
+        assert (await _jog(cell.settings.model_copy(update={"cycle": taught}), end)).done
+        path = [pose.position_mm for _, _, pose in cell.trace]
     assert min(z for x, _, z in path if -19.9 < x < -0.1) > clear_mm - 0.1
     assert path[-1] == pytest.approx((end.x_mm, end.y_mm, end.z_mm), abs=0.05)
 

@@ -87,15 +87,12 @@ def test_a_guided_arm_takes_no_motion_once_its_tool_tilts_beyond_the_limit(tilt_
 
 
 @pytest.mark.parametrize("url", ["http://127.0.0.1:8", "http://localhost:8"])
-def test_only_the_robot_whose_program_is_started_is_guided(url):
-    async def story():
-        settings = load_settings(None, {"robot": {"rws": {"url": url}}})
-        arm = settings.make_arm()
-        assert not arm._is_robot(("192.0.2.7", 6510)), "another robot that sends to the same port"
-        assert arm._is_robot(("127.0.0.1", 6510))
-        await arm.rws._client.aclose()
-
-    asyncio.run(story())
+async def test_only_the_robot_whose_program_is_started_is_guided(url):
+    settings = load_settings(None, {"robot": {"rws": {"url": url}}})
+    arm = settings.make_arm()
+    assert not arm._is_robot(("192.0.2.7", 6510)), "another robot that sends to the same port"
+    assert arm._is_robot(("127.0.0.1", 6510))
+    await arm.rws._client.aclose()
 
 
 class Line:
@@ -182,33 +179,27 @@ def test_a_sender_without_end_does_not_keep_the_others_waiting():
     assert 0 < arm.statistics()["datagrams"] < 100
 
 
-def test_an_arm_that_was_never_started_knows_nothing_moves_nothing_and_closes():
-    async def story():
-        arm = EgmArm(Settings(), Limits(), Ramps())
-        assert (arm.position(), arm.target(), arm.signals()) == (None, None, None)
-        assert set(arm.statistics().values()) == {0}
-        arm.renew(1.0)
-        arm.hold("too early", stop=False)
-        with pytest.raises(LimitError, match="not started"):
-            arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=65.0, yaw_deg=0.0), "travel")
-        assert list(arm.checks()) == ["guidance"]
-        assert await arm.close() == "no program was started"
-
-    asyncio.run(story())
+async def test_an_arm_that_was_never_started_knows_nothing_moves_nothing_and_closes():
+    arm = EgmArm(Settings(), Limits(), Ramps())
+    assert (arm.position(), arm.target(), arm.signals()) == (None, None, None)
+    assert set(arm.statistics().values()) == {0}
+    arm.renew(1.0)
+    arm.hold("too early", stop=False)
+    with pytest.raises(LimitError, match="not started"):
+        arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=65.0, yaw_deg=0.0), "travel")
+    assert list(arm.checks()) == ["guidance"]
+    assert await arm.close() == "no program was started"
 
 
-def test_the_port_to_listen_on_is_free_or_named():
-    async def story():
-        arm = EgmArm(Settings(bind="127.0.0.1", port=0), Limits(), Ramps())
-        (finding,) = await arm.checks()["guidance"]()
-        assert (finding.good, "UDP 127.0.0.1:0 is free" in finding.text) == (True, True)
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-            other.bind(("127.0.0.1", 0))
-            arm.settings = Settings(bind="127.0.0.1", port=other.getsockname()[1])
-            with pytest.raises(DriverError, match="cannot listen on UDP 127"):
-                await arm.checks()["guidance"]()
-
-    asyncio.run(story())
+async def test_the_port_to_listen_on_is_free_or_named():
+    arm = EgmArm(Settings(bind="127.0.0.1", port=0), Limits(), Ramps())
+    (finding,) = await arm.checks()["guidance"]()
+    assert (finding.good, "UDP 127.0.0.1:0 is free" in finding.text) == (True, True)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        arm.settings = Settings(bind="127.0.0.1", port=other.getsockname()[1])
+        with pytest.raises(DriverError, match="cannot listen on UDP 127"):
+            await arm.checks()["guidance"]()
 
 
 def test_an_order_to_stop_latches_the_arm_with_its_first_reason_and_a_hold_does_not():
@@ -225,37 +216,33 @@ def test_an_order_to_stop_latches_the_arm_with_its_first_reason_and_a_hold_does_
 
 
 @pytest.mark.parametrize(("came", "why"), [([], "no datagram came: check"), ([b"x"], "does not parse")])
-def test_why_an_arm_does_not_get_ready_is_told(came, why):
-    async def story():
-        settings = Settings(bind="127.0.0.1", port=0, ready_timeout_s=0.05)
-        arm = EgmArm(settings, Limits(), Ramps())
-        arm._foreign, arm._watch.datagrams = 2 * len(came), len(came)
-        for one in came:
-            arm._on_datagram(one, 0.0)
-        with pytest.raises(DriverError, match=rf"EGM not ready on UDP port \d+ in 0.05 s: .*{why}"):
-            await arm.start(lambda _event: None)
-        assert await arm.close() == "no program was started"
-
-    asyncio.run(story())
+async def test_why_an_arm_does_not_get_ready_is_told(came, why):
+    settings = Settings(bind="127.0.0.1", port=0, ready_timeout_s=0.05)
+    arm = EgmArm(settings, Limits(), Ramps())
+    arm._foreign, arm._watch.datagrams = 2 * len(came), len(came)
+    for one in came:
+        arm._on_datagram(one, 0.0)
+    with pytest.raises(DriverError, match=rf"EGM not ready on UDP port \d+ in 0.05 s: .*{why}"):
+        await arm.start(lambda _event: None)
+    assert await arm.close() == "no program was started"
 
 
-def test_a_robot_named_in_the_settings_is_the_one_that_is_guided_whatever_the_address_of_its_services(monkeypatch):
+async def test_a_robot_named_in_the_settings_is_the_one_that_is_guided_whatever_the_address_of_its_services(
+    monkeypatch,
+):
     def unknown(_name):
         raise OSError
 
-    async def story():
-        for url, named, guided in (
-            ("http://127.0.0.1:8", "192.0.2.7", "192.0.2.7"),
-            ("http://127.0.0.1:8", None, "127.0.0.1"),
-            ("http://no-such-robot", None, "no-such-robot"),  # and not whoever sends first
-        ):
-            if "no-such" in url:
-                monkeypatch.setattr("robot_client.robots.abb_egm.driver.socket.gethostbyname", unknown)
-            arm = load_settings(None, {"robot": {"robot_host": named, "rws": {"url": url}}}).make_arm()
-            assert arm.settings.robot_host == guided
-            await arm.rws._client.aclose()
-
-    asyncio.run(story())
+    for url, named, guided in (
+        ("http://127.0.0.1:8", "192.0.2.7", "192.0.2.7"),
+        ("http://127.0.0.1:8", None, "127.0.0.1"),
+        ("http://no-such-robot", None, "no-such-robot"),  # and not whoever sends first
+    ):
+        if "no-such" in url:
+            monkeypatch.setattr("robot_client.robots.abb_egm.driver.socket.gethostbyname", unknown)
+        arm = load_settings(None, {"robot": {"robot_host": named, "rws": {"url": url}}}).make_arm()
+        assert arm.settings.robot_host == guided
+        await arm.rws._client.aclose()
 
 
 def test_the_worst_times_of_an_answer_and_of_a_hold_are_told_in_microseconds(monkeypatch):

@@ -263,30 +263,26 @@ def test_the_first_fault_alone_is_reported(monkeypatch):
     played(story)
 
 
-def test_while_an_arm_is_closed_it_takes_no_motion_and_the_end_of_its_stream_is_no_fault(monkeypatch):
+async def test_while_an_arm_is_closed_it_takes_no_motion_and_the_end_of_its_stream_is_no_fault(monkeypatch):
     """The controller may take seconds to confirm the stop, and is answered until then."""
-
-    async def run():
-        cell, confirmed = Controller(), asyncio.Event()
-        cell.cycles(2)
-        cell.wire.close = lambda: None
-        monkeypatch.setattr(asyncio.get_running_loop(), "remove_reader", lambda _: None)
-        cell.arm._stopping = asyncio.ensure_future(confirmed.wait())
-        closing = asyncio.ensure_future(cell.arm.close())
-        await asyncio.sleep(0)
-        with pytest.raises(LimitError, match="takes no motion: closed"):
-            cell.arm.move(HERE.at_height(40.0), "descend", cell.now_s + 5.0)
-        cell.cycles(5)
-        assert (len(cell.wire.sent), cell.arm.target()) == (7, HERE)
-        with monkeypatch.context() as later:
-            later.setattr("robot_client.robots.abb_egm.driver.time", LATER)
-            cell.arm._timer.cancel()
-            cell.arm._watchdog()
-        confirmed.set()
-        await closing
-        assert cell.events == []
-
-    asyncio.run(run())
+    cell, confirmed = Controller(), asyncio.Event()
+    cell.cycles(2)
+    cell.wire.close = lambda: None
+    monkeypatch.setattr(asyncio.get_running_loop(), "remove_reader", lambda _: None)
+    cell.arm._stopping = asyncio.ensure_future(confirmed.wait())
+    closing = asyncio.ensure_future(cell.arm.close())
+    await asyncio.sleep(0)
+    with pytest.raises(LimitError, match="takes no motion: closed"):
+        cell.arm.move(HERE.at_height(40.0), "descend", cell.now_s + 5.0)
+    cell.cycles(5)
+    assert (len(cell.wire.sent), cell.arm.target()) == (7, HERE)
+    with monkeypatch.context() as later:
+        later.setattr("robot_client.robots.abb_egm.driver.time", LATER)
+        cell.arm._timer.cancel()
+        cell.arm._watchdog()
+    confirmed.set()
+    await closing
+    assert cell.events == []
 
 
 def test_the_stream_is_looked_at_four_times_within_the_silence_that_is_allowed():

@@ -66,34 +66,28 @@ async def at_rest(peer):
     return peer.cabinet.arm.pose.position_mm[2]
 
 
-def test_a_move_is_released_carried_out_and_reported():
-    async def story():
-        async with connected() as (peer, arm, events):
-            arm.move(pose(x=8.0, z=40.0, yaw=6.0), "travel")
-            event = await soon(events)
-            assert isinstance(event, Arrived)
-            assert event.pose.distance_mm(pose(x=8.0, z=40.0)) < 0.2
-            assert event.pose.yaw_deg == pytest.approx(6.0, abs=0.1)
-            assert peer.moves[0].endswith(f" {Ramps().travel.speed_mm_s:.1f}")
-
-    asyncio.run(story())
+async def test_a_move_is_released_carried_out_and_reported():
+    async with connected() as (peer, arm, events):
+        arm.move(pose(x=8.0, z=40.0, yaw=6.0), "travel")
+        event = await soon(events)
+        assert isinstance(event, Arrived)
+        assert event.pose.distance_mm(pose(x=8.0, z=40.0)) < 0.2
+        assert event.pose.yaw_deg == pytest.approx(6.0, abs=0.1)
+        assert peer.moves[0].endswith(f" {Ramps().travel.speed_mm_s:.1f}")
 
 
-def test_a_hold_goes_to_the_guard_at_once_and_standstill_follows():
-    async def story():
-        async with connected() as (peer, arm, events):
-            arm.move(pose(z=20.0), "descend", 1e9)
-            while peer.cabinet.arm.pose.position_mm[2] > 42.0:  # noqa: ASYNC110 moved by the clock
-                await asyncio.sleep(0.004)
-            flagged = []
-            peer.cabinet.board = Flag(peer, flagged, peer.cabinet.board)
-            arm.hold("slip", stop=False)
-            assert isinstance(await soon(events), Standstill)
-            assert 0.0 < flagged[0] - peer.cabinet.arm.pose.position_mm[2] < 10.0 * (REACTION_S + 0.004) + 0.05
-            arm.move(pose(z=45.0), "retract")
-            assert isinstance(await soon(events), Arrived)
-
-    asyncio.run(story())
+async def test_a_hold_goes_to_the_guard_at_once_and_standstill_follows():
+    async with connected() as (peer, arm, events):
+        arm.move(pose(z=20.0), "descend", 1e9)
+        while peer.cabinet.arm.pose.position_mm[2] > 42.0:  # noqa: ASYNC110 moved by the clock
+            await asyncio.sleep(0.004)
+        flagged = []
+        peer.cabinet.board = Flag(peer, flagged, peer.cabinet.board)
+        arm.hold("slip", stop=False)
+        assert isinstance(await soon(events), Standstill)
+        assert 0.0 < flagged[0] - peer.cabinet.arm.pose.position_mm[2] < 10.0 * (REACTION_S + 0.004) + 0.05
+        arm.move(pose(z=45.0), "retract")
+        assert isinstance(await soon(events), Arrived)
 
 
 class Flag:
@@ -109,101 +103,80 @@ class Flag:
         return self.board.faults
 
 
-def test_a_hold_right_after_a_move_keeps_it_from_ever_starting():
-    async def story():
-        async with connected() as (peer, arm, events):
-            arm.move(pose(z=20.0), "descend", 1e9)
-            arm.hold("slip", stop=False)
-            assert isinstance(await soon(events), Standstill)
-            assert peer.moves == []
-
-    asyncio.run(story())
+async def test_a_hold_right_after_a_move_keeps_it_from_ever_starting():
+    async with connected() as (peer, arm, events):
+        arm.move(pose(z=20.0), "descend", 1e9)
+        arm.hold("slip", stop=False)
+        assert isinstance(await soon(events), Standstill)
+        assert peer.moves == []
 
 
-def test_the_guard_stops_the_arm_when_the_client_falls_silent():
-    async def story():
-        async with connected(silence_s=0.3) as (peer, arm, events):
-            arm.move(pose(z=20.0), "descend", 1e9)
-            await asyncio.sleep(0.3)
-            arm._tasks[2].cancel()
-            assert isinstance(await soon(events), Failure)  # the guard hung up
-            assert await at_rest(peer) > 21.0, "stopped on the way"
-            assert peer.stopped_by_silence == 1
-
-    asyncio.run(story())
+async def test_the_guard_stops_the_arm_when_the_client_falls_silent():
+    async with connected(silence_s=0.3) as (peer, arm, events):
+        arm.move(pose(z=20.0), "descend", 1e9)
+        await asyncio.sleep(0.3)
+        arm._tasks[2].cancel()
+        assert isinstance(await soon(events), Failure)  # the guard hung up
+        assert await at_rest(peer) > 21.0, "stopped on the way"
+        assert peer.stopped_by_silence == 1
 
 
-def test_a_descent_goes_on_while_its_lease_is_renewed_and_stops_when_it_ends():
-    async def story():
-        async with connected() as (peer, arm, events):
-            arm.move(pose(z=20.0), "descend", time.monotonic() + 0.2)
-            arm.renew(time.monotonic() + 2.0)
-            await asyncio.sleep(0.5)
-            assert events.empty(), "the first lease counts no more"
-            event = await soon(events)
-            assert isinstance(event, Failure)
-            assert event.code == "unwatched"
-            assert await at_rest(peer) > 21.0, "stopped on the way"
-
-    asyncio.run(story())
+async def test_a_descent_goes_on_while_its_lease_is_renewed_and_stops_when_it_ends():
+    async with connected() as (peer, arm, events):
+        arm.move(pose(z=20.0), "descend", time.monotonic() + 0.2)
+        arm.renew(time.monotonic() + 2.0)
+        await asyncio.sleep(0.5)
+        assert events.empty(), "the first lease counts no more"
+        event = await soon(events)
+        assert isinstance(event, Failure)
+        assert event.code == "unwatched"
+        assert await at_rest(peer) > 21.0, "stopped on the way"
 
 
 @pytest.mark.parametrize("fault", ["mute", "guard gone", "motion gone", "stop pressed", "program stopped"])
-def test_trouble_is_a_failure_and_the_arm_takes_no_more_moves(fault):
-    async def story():
-        async with connected() as (peer, arm, events):
-            arm.move(pose(z=20.0), "descend", 1e9)
-            await asyncio.sleep(0.2)
-            if fault == "mute":
-                peer.mute = True
-            elif fault == "program stopped":
-                peer.cabinet.request_stop()
-            elif fault == "stop pressed":
-                peer.stop = True
-            else:
-                peer.hang_up(motion=fault == "motion gone", guard=fault == "guard gone")
-            assert isinstance(await soon(events), Failure)
-            count = len(peer.moves)
-            with pytest.raises(LimitError):
-                arm.move(pose(), "retract")
-            assert await at_rest(peer) > 21.0, "stopped on the way"
-            assert len(peer.moves) == count
-
-    asyncio.run(story())
+async def test_trouble_is_a_failure_and_the_arm_takes_no_more_moves(fault):
+    async with connected() as (peer, arm, events):
+        arm.move(pose(z=20.0), "descend", 1e9)
+        await asyncio.sleep(0.2)
+        if fault == "mute":
+            peer.mute = True
+        elif fault == "program stopped":
+            peer.cabinet.request_stop()
+        elif fault == "stop pressed":
+            peer.stop = True
+        else:
+            peer.hang_up(motion=fault == "motion gone", guard=fault == "guard gone")
+        assert isinstance(await soon(events), Failure)
+        count = len(peer.moves)
+        with pytest.raises(LimitError):
+            arm.move(pose(), "retract")
+        assert await at_rest(peer) > 21.0, "stopped on the way"
+        assert len(peer.moves) == count
 
 
-def test_no_move_leaves_the_box():
-    async def story():
-        async with connected() as (peer, arm, _):
-            with pytest.raises(LimitError):
-                arm.move(pose(z=1.0), "descend", 1e9)
-            assert peer.moves == []
-
-    asyncio.run(story())
+async def test_no_move_leaves_the_box():
+    async with connected() as (peer, arm, _):
+        with pytest.raises(LimitError):
+            arm.move(pose(z=1.0), "descend", 1e9)
+        assert peer.moves == []
 
 
-def test_an_arm_that_was_closed_takes_no_more_moves():
-    async def story():
-        async with connected() as (peer, arm, _):
-            await arm.close()
-            with pytest.raises(LimitError, match="takes no motion: closed"):
-                arm.move(pose(), "travel")
-            assert peer.moves == []
-
-    asyncio.run(story())
+async def test_an_arm_that_was_closed_takes_no_more_moves():
+    async with connected() as (peer, arm, _):
+        await arm.close()
+        with pytest.raises(LimitError, match="takes no motion: closed"):
+            arm.move(pose(), "travel")
+        assert peer.moves == []
 
 
-def test_what_the_modules_refuse_is_refused_by_their_emulation():
-    async def story():
-        async with connected() as (peer, _, _):
-            for request, answer in (("M 4 0 0 40 0 1 0 0 90", "E 4 speed"), ("M 4 0 0", "E 0 format"), ("?", "E 0")):
-                answers = []
-                peer._answer = lambda _writer, text, answers=answers: answers.append(text)
-                peer._on_move(request)
-                assert answers[0].startswith(answer)
-            assert peer.moves == []
-
-    asyncio.run(story())
+async def test_what_the_modules_refuse_is_refused_by_their_emulation():
+    async with connected() as (peer, _, _):
+        for request, answer in (("M 4 0 0 40 0 1 0 0 90", "E 4 speed"), ("M 4 0 0", "E 0 format"), ("?", "E 0")):
+            answers = []
+            peer._answer = lambda _writer, text, answers=answers: answers.append(text)
+            peer._on_move(request)
+            assert answers[0].startswith(answer)
+        assert peer.moves == []
 
 
 def test_an_insertion_runs_over_the_sockets_from_program_start_to_program_stop():

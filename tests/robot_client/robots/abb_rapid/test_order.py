@@ -1,6 +1,5 @@
 """Two sockets to one robot: a message on one may arrive after a later message on the other."""
 
-import asyncio
 import math
 
 import pytest
@@ -261,23 +260,20 @@ def test_a_standstill_is_waited_for_anew_after_each_hold_and_said_once(clock):
         clock.now_s += 5.0
 
 
-def test_an_arm_that_was_never_started_knows_nothing_moves_nothing_and_closes():
-    async def story():
-        arm = SocketArm(Settings(), Limits(), Ramps())
-        assert (arm.position(), arm.target(), arm.signals(), arm.statistics()) == (
-            None,
-            None,
-            None,
-            {"guard_answers": 0},
-        )
-        with pytest.raises(LimitError, match="not started"):
-            arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0), "travel")
-        (finding,) = await arm.checks()["guidance"]()
-        assert list(arm.checks()) == ["guidance"]
-        assert (finding.good, "192.168.125.1:5010 and :5011" in finding.text) == (True, True)
-        assert await arm.close() == "guard stopped the arm; no program was started"
-
-    asyncio.run(story())
+async def test_an_arm_that_was_never_started_knows_nothing_moves_nothing_and_closes():
+    arm = SocketArm(Settings(), Limits(), Ramps())
+    assert (arm.position(), arm.target(), arm.signals(), arm.statistics()) == (
+        None,
+        None,
+        None,
+        {"guard_answers": 0},
+    )
+    with pytest.raises(LimitError, match="not started"):
+        arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0), "travel")
+    (finding,) = await arm.checks()["guidance"]()
+    assert list(arm.checks()) == ["guidance"]
+    assert (finding.good, "192.168.125.1:5010 and :5011" in finding.text) == (True, True)
+    assert await arm.close() == "guard stopped the arm; no program was started"
 
 
 def test_what_the_guard_says_counts_and_what_is_no_answer_of_its_does_not(clock):

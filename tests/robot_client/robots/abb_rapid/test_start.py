@@ -14,50 +14,43 @@ from tests.robot_client.live_cell import bench
 
 
 @pytest.mark.parametrize("missing", ["motion server", "guard"])
-def test_a_program_that_does_not_listen_is_named(missing):
+async def test_a_program_that_does_not_listen_is_named(missing):
     """With one of its two ports, or with none; a port may open late, and is tried for as long as is set."""
+    heard = []
 
-    async def story():
-        heard = []
+    async def serve(_reader, writer):
+        heard.append(writer)
 
-        async def serve(_reader, writer):
-            heard.append(writer)
-
-        server = await asyncio.start_server(serve, "127.0.0.1", 0)
-        port, closed = server.sockets[0].getsockname()[1], free_port()
-        ports = {"motion_port": closed if missing == "motion server" else port, "guard_port": closed}
-        arm = SocketArm(Settings(host="127.0.0.1", connect_timeout_s=0.15, **ports), Limits(), Ramps())
-        begun_s = asyncio.get_running_loop().time()
-        with pytest.raises(DriverError, match=f"cannot connect to the {missing} at 127.0.0.1:{closed}"):
-            await arm.start(lambda _event: None)
-        assert asyncio.get_running_loop().time() - begun_s > 0.15
-        await arm.close()
-        for writer in heard:
-            writer.close()
-        server.close()
-
-    asyncio.run(story())
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    port, closed = server.sockets[0].getsockname()[1], free_port()
+    ports = {"motion_port": closed if missing == "motion server" else port, "guard_port": closed}
+    arm = SocketArm(Settings(host="127.0.0.1", connect_timeout_s=0.15, **ports), Limits(), Ramps())
+    begun_s = asyncio.get_running_loop().time()
+    with pytest.raises(DriverError, match=f"cannot connect to the {missing} at 127.0.0.1:{closed}"):
+        await arm.start(lambda _event: None)
+    assert asyncio.get_running_loop().time() - begun_s > 0.15
+    await arm.close()
+    for writer in heard:
+        writer.close()
+    server.close()
 
 
-def test_a_guard_that_says_nothing_is_no_start():
-    async def story():
-        heard = []
+async def test_a_guard_that_says_nothing_is_no_start():
+    heard = []
 
-        async def serve(_reader, writer):
-            heard.append(writer)
+    async def serve(_reader, writer):
+        heard.append(writer)
 
-        server = await asyncio.start_server(serve, "127.0.0.1", 0)
-        port = server.sockets[0].getsockname()[1]
-        settings = Settings(host="127.0.0.1", connect_timeout_s=0.1, motion_port=port, guard_port=port)
-        arm = SocketArm(settings, Limits(), Ramps())
-        with pytest.raises(DriverError, match="does not report where the arm is"):
-            await arm.start(lambda _event: None)
-        await arm.close()
-        for writer in heard:
-            writer.close()
-        server.close()
-
-    asyncio.run(story())
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    settings = Settings(host="127.0.0.1", connect_timeout_s=0.1, motion_port=port, guard_port=port)
+    arm = SocketArm(settings, Limits(), Ramps())
+    with pytest.raises(DriverError, match="does not report where the arm is"):
+        await arm.start(lambda _event: None)
+    await arm.close()
+    for writer in heard:
+        writer.close()
+    server.close()
 
 
 @pytest.mark.parametrize("answers", [True, False])

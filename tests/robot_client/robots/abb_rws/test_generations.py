@@ -164,23 +164,20 @@ def test_a_wrong_password_is_refused_by_either(omnicore):
     assert "HTTP 401" in error_of(lambda _: {"password": SecretStr("wrong")}, omnicore=omnicore)
 
 
-def test_what_is_no_controller_is_named(tmp_path):
+async def test_what_is_no_controller_is_named(tmp_path):
     async def stranger(_scope, _receive, send):
         await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"0")]})
         await send({"type": "http.response.body", "body": b""})
 
-    async def story():
-        server = HttpServer(stranger, bind_tcp(0, "stranger"))
-        await server.start()
-        client = RwsClient(RwsSettings(url=f"http://127.0.0.1:{server.port}", request_timeout_s=20.0))
-        try:
-            with pytest.raises(RwsError, match=r"neither .*RobotWare 6.* nor .*RobotWare 7.*HTTP 200"):
-                await client.status()
-        finally:
-            await client.close()
-            server.stop()
-
-    asyncio.run(story())
+    server = HttpServer(stranger, bind_tcp(0, "stranger"))
+    await server.start()
+    client = RwsClient(RwsSettings(url=f"http://127.0.0.1:{server.port}", request_timeout_s=20.0))
+    try:
+        with pytest.raises(RwsError, match=r"neither .*RobotWare 6.* nor .*RobotWare 7.*HTTP 200"):
+            await client.status()
+    finally:
+        await client.close()
+        server.stop()
 
 
 def test_a_controller_of_robotware_7_may_ask_for_digest_access():
