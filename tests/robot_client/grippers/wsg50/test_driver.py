@@ -57,105 +57,84 @@ async def bench(*, present=True, holding=True, **settings):
     )
     cell = Bench(board, mechanism, emulator, Wsg50(made))
     try:
-        yield cell
+        async with asyncio.timeout(60.0):
+            yield cell
     finally:
         await cell.driver.close()
         await emulator.stop()
 
 
-def story(work, **options):
-    async def played():
-        async with bench(**options) as cell:
-            return await work(cell)
-
-    return asyncio.run(asyncio.wait_for(played(), 60.0))
-
-
-def test_what_is_held_is_accepted_as_it_is_and_left_as_it_was():
-    async def work(cell):
+async def test_what_is_held_is_accepted_as_it_is_and_left_as_it_was():
+    async with bench() as cell:
         await cell.started()
         assert cell.driver.held
         cell.driver.grasp()
-        return await cell.until(Grasped), cell
-
-    grasped, cell = story(work)
+        grasped = await cell.until(Grasped)
     assert grasped.width_mm == 50.0
     assert cell.asked == ["SYSTEM_LIMITS", "DISCONNECT"]
     assert cell.mechanism.holding
     assert cell.emulator.counters.fast_stops_by_disconnect == 0, "it said that it leaves"
 
 
-def test_an_open_hand_closes_with_the_force_asked_for_and_is_watched():
-    async def work(cell):
+async def test_an_open_hand_closes_with_the_force_asked_for_and_is_watched():
+    async with bench(holding=False, force_limit_n=25.0) as cell:
         await cell.started()
         assert not cell.driver.held
         cell.driver.grasp()
-        return await cell.until(Grasped), cell
-
-    grasped, cell = story(work, holding=False, force_limit_n=25.0)
+        grasped = await cell.until(Grasped)
     assert (grasped.width_mm, cell.mechanism.force_n, cell.driver.held) == (50.0, 25.0, True)
     assert cell.asked == ["SYSTEM_LIMITS", "SET_FORCE_LIMIT", "GRASP", "DISCONNECT"]
 
 
 @pytest.mark.parametrize("holding", [True, False])
-def test_fingers_that_close_further_on_what_they_hold_are_reported(holding):
-    async def work(cell):
+async def test_fingers_that_close_further_on_what_they_hold_are_reported(holding):
+    async with bench(holding=holding) as cell:
         await cell.started()
         cell.driver.grasp()
         await cell.until(Grasped)
         cell.mechanism.width_mm = 48.0
         while (width := await cell.until(Width)).width_mm > 48.0:
             pass
-        return width.width_mm
-
-    assert story(work, holding=holding) == 48.0
+    assert width.width_mm == 48.0
 
 
-def test_an_empty_place_is_named_as_such():
-    async def work(cell):
+async def test_an_empty_place_is_named_as_such():
+    async with bench(present=False, holding=False, grasp_width_mm=48.0) as cell:
         await cell.started()
         cell.driver.grasp()
-        return await cell.until(Failure)
-
-    failure = story(work, present=False, holding=False, grasp_width_mm=48.0)
+        failure = await cell.until(Failure)
     assert (failure.code, failure.detail) == (
         "grasp",
         "gripper: closed to grasp_width_mm = 48 on nothing; is the object between the fingers?",
     )
 
 
-def test_what_is_held_is_let_go_of_by_a_release_and_open_fingers_move():
-    async def work(cell):
+async def test_what_is_held_is_let_go_of_by_a_release_and_open_fingers_move():
+    async with bench() as cell:
         await cell.driver.connect()
-        return [await cell.driver.release(54.0), await cell.driver.release(58.0)], cell.asked
-
-    reached_mm, asked = story(work)
+        reached_mm, asked = [await cell.driver.release(54.0), await cell.driver.release(58.0)], cell.asked
     assert reached_mm == pytest.approx([54.0, 58.0], abs=0.01)
     assert asked == ["SYSTEM_LIMITS", "RELEASE", "MOVE"]
 
 
-def test_each_width_that_differs_by_a_tenth_is_reported():
-    async def work(cell):
+async def test_each_width_that_differs_by_a_tenth_is_reported():
+    async with bench(holding=False, grasp_speed_mm_s=10.0) as cell:
         await cell.started()
         await cell.driver.release(60.0)
         widths = []
         while not cell.events.empty():
             widths.append(cell.events.get_nowait())
-        return [event.width_mm for event in widths if isinstance(event, Width)]
-
-    widths = story(work, holding=False, grasp_speed_mm_s=10.0)
+        widths = [event.width_mm for event in widths if isinstance(event, Width)]
     assert len(widths) > 2
     assert all(b - a >= 0.1 for a, b in itertools.pairwise(widths))
     assert (widths[0], widths[-1]) == (pytest.approx(56.0, abs=1.0), pytest.approx(60.0, abs=0.1))
 
 
 @pytest.mark.parametrize(("present", "empty"), [(True, False), (False, True)])
-def test_closing_finds_nothing_only_where_nothing_is(present, empty):
-    async def work(cell):
+async def test_closing_finds_nothing_only_where_nothing_is(present, empty):
+    async with bench(present=present, holding=False, grasp_width_mm=48.0) as cell:
         await cell.started()
-        return await cell.driver.finds_nothing(), cell.mechanism.state
-
-    nothing, state = story(work, present=present, holding=False, grasp_width_mm=48.0)
+        nothing, state = await cell.driver.finds_nothing(), cell.mechanism.state
     assert (nothing, state) == (empty, GraspingState.NO_PART if empty else GraspingState.HOLDING)
 
 
@@ -172,20 +151,17 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_the_gripper_does_not_allow_is_refused_before_it_is_asked_for(name):
+async def test_what_the_gripper_does_not_allow_is_refused_before_it_is_asked_for(name):
     settings, call, expected = REFUSED[name]
-
-    async def work(cell):
+    async with bench(**settings) as cell:
         await cell.started()
         with pytest.raises(GripperError, match=expected):
             await call(cell.driver)
         assert not {"MOVE", "RELEASE", "GRASP", "HOMING"} & set(cell.asked)
 
-    story(work, **settings)
 
-
-def test_fingers_that_are_not_homed_close_on_nothing_and_homing_says_where_they_are():
-    async def work(cell):
+async def test_fingers_that_are_not_homed_close_on_nothing_and_homing_says_where_they_are():
+    async with bench(holding=False) as cell:
         cell.board.update({"gripper": {"not_homed": True}})
         await cell.started()
         with pytest.raises(GripperError, match="not homed; run"):
@@ -194,19 +170,15 @@ def test_fingers_that_are_not_homed_close_on_nothing_and_homing_says_where_they_
         findings = await cell.driver.checks()["gripper"]()
         cell.board.update({"gripper": {"not_homed": False}})
         cell.mechanism.width_mm = 108.0
-        return findings, await cell.driver.home("outward")
-
-    findings, width_mm = story(work, holding=False)
+        width_mm = await cell.driver.home("outward")
     assert [good for good, _ in findings] == [True, False, True, True]
     assert width_mm == pytest.approx(110.0)
 
 
 @pytest.mark.parametrize(("force_n", "good"), [(5.0, True), (4.9, False), (80.0, True), (80.1, False)])
-def test_a_check_names_faults_force_state_and_width(force_n, good):
-    async def work(cell):
-        return await cell.driver.checks()["gripper"]()
-
-    findings = story(work, force_limit_n=force_n)
+async def test_a_check_names_faults_force_state_and_width(force_n, good):
+    async with bench(force_limit_n=force_n) as cell:
+        findings = await cell.driver.checks()["gripper"]()
     assert [one.good for one in findings] == [True, True, good, True]
     texts = [
         "no fault",
@@ -217,8 +189,8 @@ def test_a_check_names_faults_force_state_and_width(force_n, good):
     assert [one.text for one in findings] == texts
 
 
-def test_a_latched_fault_is_named_and_only_the_operator_clears_it():
-    async def work(cell):
+async def test_a_latched_fault_is_named_and_only_the_operator_clears_it():
+    async with bench() as cell:
         cell.mechanism.fast_stop()
         with pytest.raises(GripperError, match="fault FAST_STOP; find the cause"):
             await cell.started()
@@ -237,9 +209,6 @@ def test_a_latched_fault_is_named_and_only_the_operator_clears_it():
             await cell.driver.home("default")
         await cell.anew()
         await cell.started()
-        return fault
-
-    fault = story(work)
     assert (fault.good, fault.text) == (False, "faults: FAST_STOP")
 
 
@@ -252,17 +221,14 @@ def test_a_latched_fault_is_named_and_only_the_operator_clears_it():
         ({"wsg": {"silent": True}}, Failure, "silent"),
     ],
 )
-def test_trouble_during_an_insertion_is_reported(fault, kind, code):
-    async def work(cell):
+async def test_trouble_during_an_insertion_is_reported(fault, kind, code):
+    async with bench(silence_s=0.2 if code == "silent" else 20.0) as cell:
         await cell.started()
         await cell.until(Width)
         assert cell.events.empty(), "fingers that rest are reported once"
         cell.board.update(fault)
         event = await cell.until((PartLost, Failure))
         cell.board.update({"wsg": {"silent": False}})
-        return event
-
-    event = story(work, silence_s=0.2 if code == "silent" else 20.0)
     assert isinstance(event, kind)
     assert getattr(event, "code", "") == code
 

@@ -51,131 +51,108 @@ class Controller:
         return [event.code for event in self.events if isinstance(event, Failure)]
 
 
-def played(story):
-    async def run():
-        cell = Controller()
-        story(cell)
-        cell.arm._timer.cancel()
-        return cell
-
-    return asyncio.run(run())
-
-
-def test_a_controller_that_is_not_ready_is_not_answered_and_the_reason_is_named():
-    def story(cell):
-        cell.arm._timer.cancel()
-        cell.cycles(3, motors_on=False)
-        assert (cell.wire.sent, cell.arm._watch.not_ready) == ([], "the motors are off")
-        cell.arm._on_datagram(b"nonsense", cell.now_s)
-        assert "does not parse" in cell.arm._watch.not_ready
-        assert not cell.arm._ready.is_set()
-        with pytest.raises(LimitError, match="not started"):
-            cell.arm.move(HERE, "travel")
-        cell.cycles(2)
-        assert len(cell.wire.sent) == 2
-        assert cell.arm._ready.is_set()
-        assert cell.arm.statistics()["bad_datagrams"] == 1
-
-    played(story)
+async def test_a_controller_that_is_not_ready_is_not_answered_and_the_reason_is_named():
+    cell = Controller()
+    cell.arm._timer.cancel()
+    cell.cycles(3, motors_on=False)
+    assert (cell.wire.sent, cell.arm._watch.not_ready) == ([], "the motors are off")
+    cell.arm._on_datagram(b"nonsense", cell.now_s)
+    assert "does not parse" in cell.arm._watch.not_ready
+    assert not cell.arm._ready.is_set()
+    with pytest.raises(LimitError, match="not started"):
+        cell.arm.move(HERE, "travel")
+    cell.cycles(2)
+    assert len(cell.wire.sent) == 2
+    assert cell.arm._ready.is_set()
+    assert cell.arm.statistics()["bad_datagrams"] == 1
 
 
-def test_a_move_is_walked_and_its_arrival_reported_once():
-    def story(cell):
-        cell.cycles(1)
-        assert cell.arm.target() == HERE
-        goal = WorkPose(x_mm=8.0, y_mm=-1.0, z_mm=55.0, yaw_deg=4.0)
-        cell.arm.move(goal, "travel")
-        cell.cycles(400)
-        (arrived,) = cell.events
-        assert isinstance(arrived, Arrived)
-        assert arrived.pose.distance_mm(goal) < 0.05
-        assert cell.arm.position().distance_mm(goal) < 0.05
-        assert len(cell.wire.sent) == 401, "each datagram is answered"
-        cell.arm._on_datagram(codec.encode_robot(codec.RobotState(3, 12, cell.wire.sent[-1])), cell.now_s)
-        assert len(cell.wire.sent) == 401, "one that is out of order is not"
-
-    played(story)
+async def test_a_move_is_walked_and_its_arrival_reported_once():
+    cell = Controller()
+    cell.cycles(1)
+    assert cell.arm.target() == HERE
+    goal = WorkPose(x_mm=8.0, y_mm=-1.0, z_mm=55.0, yaw_deg=4.0)
+    cell.arm.move(goal, "travel")
+    cell.cycles(400)
+    (arrived,) = cell.events
+    assert isinstance(arrived, Arrived)
+    assert arrived.pose.distance_mm(goal) < 0.05
+    assert cell.arm.position().distance_mm(goal) < 0.05
+    assert len(cell.wire.sent) == 401, "each datagram is answered"
+    cell.arm._on_datagram(codec.encode_robot(codec.RobotState(3, 12, cell.wire.sent[-1])), cell.now_s)
+    assert len(cell.wire.sent) == 401, "one that is out of order is not"
 
 
-def test_a_descent_stands_when_its_lease_ends_goes_on_when_it_is_renewed_and_holds_at_once():
-    def story(cell):
-        cell.cycles(1)
-        cell.arm.move(HERE.at_height(40.0), "descend", cell.now_s + 0.4)
-        cell.cycles(110)
-        stood = cell.arm.target()
-        cell.cycles(5)
-        assert cell.arm.target() == stood
-        assert 57.0 < stood.z_mm < 59.0
-        cell.arm.renew(cell.now_s + 5.0)
-        cell.cycles(100)
-        assert cell.arm.target().z_mm < stood.z_mm - 1.0
-        before = len(cell.wire.sent)
-        cell.arm.hold("slip", stop=False)
-        assert len(cell.wire.sent) == before + 1, "the frozen target goes out at once"
-        frozen = cell.arm.target()
-        cell.cycles(60)
-        (stands,) = cell.events
-        assert isinstance(stands, Standstill)
-        assert stands.still_s == pytest.approx(0.04)
-        assert cell.arm.target() == frozen
-        assert cell.arm.statistics()["pauses"] == 1
-        cell.arm.move(HERE, "retract")
-
-    played(story)
+async def test_a_descent_stands_when_its_lease_ends_goes_on_when_it_is_renewed_and_holds_at_once():
+    cell = Controller()
+    cell.cycles(1)
+    cell.arm.move(HERE.at_height(40.0), "descend", cell.now_s + 0.4)
+    cell.cycles(110)
+    stood = cell.arm.target()
+    cell.cycles(5)
+    assert cell.arm.target() == stood
+    assert 57.0 < stood.z_mm < 59.0
+    cell.arm.renew(cell.now_s + 5.0)
+    cell.cycles(100)
+    assert cell.arm.target().z_mm < stood.z_mm - 1.0
+    before = len(cell.wire.sent)
+    cell.arm.hold("slip", stop=False)
+    assert len(cell.wire.sent) == before + 1, "the frozen target goes out at once"
+    frozen = cell.arm.target()
+    cell.cycles(60)
+    (stands,) = cell.events
+    assert isinstance(stands, Standstill)
+    assert stands.still_s == pytest.approx(0.04)
+    assert cell.arm.target() == frozen
+    assert cell.arm.statistics()["pauses"] == 1
+    cell.arm.move(HERE, "retract")
 
 
 @pytest.mark.parametrize(("lost_n", "lasts_s"), [(1, 9.0), (8, 9.0), (40, 9.0), (55, 9.0), (40, 0.5)])
-def test_the_time_that_a_descent_loses_to_gaps_is_reported(lost_n, lasts_s):
+async def test_the_time_that_a_descent_loses_to_gaps_is_reported(lost_n, lasts_s):
     """By as much as its target is behind, to a few hundredths of a second; also where its lease ended in the gap."""
-
-    def story(cell):
-        cell.cycles(1)
-        until_s = cell.now_s + lasts_s
-        cell.arm.move(HERE.at_height(40.0), "descend", until_s)
-        cell.cycles(100)
-        before_mm, since_s = cell.arm.target().z_mm, cell.now_s
-        cell.loses(lost_n)
-        cell.cycles(1)
-        paused_s = max(0.0, cell.now_s - until_s)
-        cell.arm.renew(cell.now_s + 9.0)
-        cell.cycles(50)
-        behind_s = cell.now_s - since_s - (before_mm - cell.arm.target().z_mm) / 5.0 - paused_s
-        assert sum(event.stood_s for event in cell.events) == pytest.approx(behind_s, abs=0.05)
-        assert bool(cell.events) == (behind_s > 0.05)
-        assert {type(event) for event in cell.events} <= {Stood}
-
-    played(story)
+    cell = Controller()
+    cell.cycles(1)
+    until_s = cell.now_s + lasts_s
+    cell.arm.move(HERE.at_height(40.0), "descend", until_s)
+    cell.cycles(100)
+    before_mm, since_s = cell.arm.target().z_mm, cell.now_s
+    cell.loses(lost_n)
+    cell.cycles(1)
+    paused_s = max(0.0, cell.now_s - until_s)
+    cell.arm.renew(cell.now_s + 9.0)
+    cell.cycles(50)
+    behind_s = cell.now_s - since_s - (before_mm - cell.arm.target().z_mm) / 5.0 - paused_s
+    assert sum(event.stood_s for event in cell.events) == pytest.approx(behind_s, abs=0.05)
+    assert bool(cell.events) == (behind_s > 0.05)
+    assert {type(event) for event in cell.events} <= {Stood}
 
 
-def test_a_lease_that_nobody_renews_ends_the_descent_for_good():
-    def story(cell):
-        cell.cycles(1)
-        cell.arm.move(HERE.at_height(40.0), "descend", cell.now_s + 0.2)
-        cell.cycles(round((0.2 + PAUSE_S) * 250) - 2)
-        assert cell.codes == []
-        cell.cycles(4)
-        assert cell.codes == ["unwatched"]
-        with pytest.raises(LimitError, match="takes no motion: unwatched"):
-            cell.arm.move(HERE, "retract")
-
-    played(story)
+async def test_a_lease_that_nobody_renews_ends_the_descent_for_good():
+    cell = Controller()
+    cell.cycles(1)
+    cell.arm.move(HERE.at_height(40.0), "descend", cell.now_s + 0.2)
+    cell.cycles(round((0.2 + PAUSE_S) * 250) - 2)
+    assert cell.codes == []
+    cell.cycles(4)
+    assert cell.codes == ["unwatched"]
+    with pytest.raises(LimitError, match="takes no motion: unwatched"):
+        cell.arm.move(HERE, "retract")
 
 
 @pytest.mark.parametrize(("away_mm", "code"), [(9.9, []), (10.2, ["tracking"])])
-def test_an_arm_that_strays_from_its_target_is_held_where_it_is(away_mm, code):
-    def story(cell):
-        cell.cycles(2)
-        frozen = cell.arm.target()
-        cell.here = HERE.model_copy(update={"y_mm": away_mm})
-        before = len(cell.wire.sent)
-        cell.cycles(1)
-        assert cell.codes == code
-        assert len(cell.wire.sent) == before + 1 + len(code), "frozen first, answered all the same"
-        cell.cycles(5)
-        assert cell.codes == code, "once"
-        assert cell.arm.target() == frozen
-
-    played(story)
+async def test_an_arm_that_strays_from_its_target_is_held_where_it_is(away_mm, code):
+    cell = Controller()
+    cell.cycles(2)
+    frozen = cell.arm.target()
+    cell.here = HERE.model_copy(update={"y_mm": away_mm})
+    before = len(cell.wire.sent)
+    cell.cycles(1)
+    assert cell.codes == code
+    assert len(cell.wire.sent) == before + 1 + len(code), "frozen first, answered all the same"
+    cell.cycles(5)
+    assert cell.codes == code, "once"
+    assert cell.arm.target() == frozen
 
 
 @pytest.mark.parametrize(
@@ -187,38 +164,33 @@ def test_an_arm_that_strays_from_its_target_is_held_where_it_is(away_mm, code):
         ({"late_s": 0.2}, None),
     ],
 )
-def test_a_stream_that_is_no_longer_fit_freezes_the_arm_in_its_move(changes, code):
-    def story(cell):
-        cell.cycles(2)
-        cell.arm.move(HERE.at_height(45.0), "retract")
-        cell.cycles(100)
-        frozen = cell.arm.target()
-        cell.cycles(20, **changes)
-        assert cell.codes == ([code] if code else [])
-        assert (cell.arm.target().distance_mm(frozen) < 0.3) == bool(code)
-
-    played(story)
+async def test_a_stream_that_is_no_longer_fit_freezes_the_arm_in_its_move(changes, code):
+    cell = Controller()
+    cell.cycles(2)
+    cell.arm.move(HERE.at_height(45.0), "retract")
+    cell.cycles(100)
+    frozen = cell.arm.target()
+    cell.cycles(20, **changes)
+    assert cell.codes == ([code] if code else [])
+    assert (cell.arm.target().distance_mm(frozen) < 0.3) == bool(code)
 
 
-def test_silence_is_noticed_by_the_watchdog_without_a_datagram(monkeypatch):
+async def test_silence_is_noticed_by_the_watchdog_without_a_datagram(monkeypatch):
     class Time:
         monotonic = staticmethod(lambda: clock["now_s"])
         monotonic_ns = staticmethod(lambda: round(clock["now_s"] * 1e9))
 
     clock = {"now_s": 0.0}
     monkeypatch.setattr("robot_client.robots.abb_egm.driver.time", Time)
-
-    def story(cell):
-        cell.cycles(5)
-        codes = []
-        for at_s in (0.05, 0.1, 0.15, 0.2, 0.26, 0.3):
-            clock["now_s"] = at_s
-            cell.arm._timer.cancel()
-            cell.arm._watchdog()
-            codes.append(list(cell.codes))
-        assert codes == [[], [], [], [], [], ["silent"]]
-
-    played(story)
+    cell = Controller()
+    cell.cycles(5)
+    codes = []
+    for at_s in (0.05, 0.1, 0.15, 0.2, 0.26, 0.3):
+        clock["now_s"] = at_s
+        cell.arm._timer.cancel()
+        cell.arm._watchdog()
+        codes.append(list(cell.codes))
+    assert codes == [[], [], [], [], [], ["silent"]]
 
 
 def test_an_arm_is_started_moved_held_and_its_program_stopped():
@@ -246,21 +218,18 @@ def test_an_arm_is_started_moved_held_and_its_program_stopped():
     assert findings[1].good
 
 
-def test_the_first_fault_alone_is_reported(monkeypatch):
+async def test_the_first_fault_alone_is_reported(monkeypatch):
     """An arm that has strayed falls silent, too, as when its program is stopped for it."""
-
-    def story(cell):
-        cell.cycles(2)
-        cell.here = HERE.model_copy(update={"y_mm": 15.0})
-        cell.cycles(1)
-        monkeypatch.setattr("robot_client.robots.abb_egm.driver.time", LATER)
-        cell.arm._timer.cancel()
-        cell.arm._watchdog()
-        assert cell.codes == ["tracking"]
-        with pytest.raises(LimitError, match="takes no motion: tracking"):
-            cell.arm.move(HERE, "retract")
-
-    played(story)
+    cell = Controller()
+    cell.cycles(2)
+    cell.here = HERE.model_copy(update={"y_mm": 15.0})
+    cell.cycles(1)
+    monkeypatch.setattr("robot_client.robots.abb_egm.driver.time", LATER)
+    cell.arm._timer.cancel()
+    cell.arm._watchdog()
+    assert cell.codes == ["tracking"]
+    with pytest.raises(LimitError, match="takes no motion: tracking"):
+        cell.arm.move(HERE, "retract")
 
 
 async def test_while_an_arm_is_closed_it_takes_no_motion_and_the_end_of_its_stream_is_no_fault(monkeypatch):
@@ -285,12 +254,10 @@ async def test_while_an_arm_is_closed_it_takes_no_motion_and_the_end_of_its_stre
     assert cell.events == []
 
 
-def test_the_stream_is_looked_at_four_times_within_the_silence_that_is_allowed():
-    def story(cell):
-        cell.cycles(1)
-        cell.arm._timer.cancel()
-        loop = asyncio.get_running_loop()
-        cell.arm._watchdog()
-        assert cell.arm._timer.when() - loop.time() == pytest.approx(0.25 / 4, abs=0.02)
-
-    played(story)
+async def test_the_stream_is_looked_at_four_times_within_the_silence_that_is_allowed():
+    cell = Controller()
+    cell.cycles(1)
+    cell.arm._timer.cancel()
+    loop = asyncio.get_running_loop()
+    cell.arm._watchdog()
+    assert cell.arm._timer.when() - loop.time() == pytest.approx(0.25 / 4, abs=0.02)

@@ -1,6 +1,7 @@
 """A rehearsal takes the same orders as the arm, walks the same way and ends it for the same reasons."""
 
 import asyncio
+import contextlib
 import itertools
 
 import pytest
@@ -20,28 +21,24 @@ def clock(monkeypatch):
     return stopped_clock(monkeypatch, driver)
 
 
-def rehearsed(story):
-    """Result of a story with a started arm, its targets, and the coroutine of its next event."""
-
-    async def run():
-        arm = driver.make(Settings(), Limits(), Ramps(), CellFrame())
-        way, events = [], asyncio.Queue()
-        arm.on_target = way.append
-        begun = await arm.start(events.put_nowait)
-        assert begun == arm.target() == arm.position() == arm.settings.start
-        try:
-            return await story(arm, way, lambda: asyncio.wait_for(events.get(), 20.0))
-        finally:
-            assert await arm.close() == "dry run: no controller"
-            assert arm._task.cancelled()
-
-    return asyncio.run(run())
+@contextlib.asynccontextmanager
+async def rehearsed():
+    """A started arm, its targets, and the coroutine of its next event."""
+    arm = driver.make(Settings(), Limits(), Ramps(), CellFrame())
+    way, events = [], asyncio.Queue()
+    arm.on_target = way.append
+    begun = await arm.start(events.put_nowait)
+    assert begun == arm.target() == arm.position() == arm.settings.start
+    try:
+        yield arm, way, lambda: asyncio.wait_for(events.get(), 20.0)
+    finally:
+        assert await arm.close() == "dry run: no controller"
+        assert arm._task.cancelled()
 
 
-def test_a_move_is_walked_target_by_target_and_its_arrival_reported(clock):
+async def test_a_move_is_walked_target_by_target_and_its_arrival_reported(clock):
     clock.now_s = 7.0
-
-    async def story(arm, way, event):
+    async with rehearsed() as (arm, way, event):
         goal = arm.target().at_height(70.0)
         arm.move(goal, "travel")
         arrived = await event()
@@ -51,11 +48,9 @@ def test_a_move_is_walked_target_by_target_and_its_arrival_reported(clock):
         assert len(way) * CYCLE_S == pytest.approx(lasts_s, abs=3 * CYCLE_S), "nothing is counted before the move"
         assert all(high.z_mm >= low.z_mm for high, low in itertools.pairwise(way))
 
-    rehearsed(story)
 
-
-def test_a_hold_freezes_the_target_and_its_standstill_says_for_how_long(clock):
-    async def story(arm, way, event):
+async def test_a_hold_freezes_the_target_and_its_standstill_says_for_how_long(clock):
+    async with rehearsed() as (arm, way, event):
         arm.move(arm.target().at_height(60.0), "descend", 1e9)
         while len(way) < 200:  # noqa: ASYNC110 set by the rehearsal
             await asyncio.sleep(0)
@@ -65,11 +60,9 @@ def test_a_hold_freezes_the_target_and_its_standstill_says_for_how_long(clock):
         assert (type(stands), stands.pose, stands.still_s) == (Standstill, held, SETTLE_S)
         assert arm.target() == held
 
-    rehearsed(story)
 
-
-def test_a_lease_that_ends_is_a_failure_as_with_the_arm_and_one_that_is_renewed_is_none(clock):
-    async def story(arm, way, event):
+async def test_a_lease_that_ends_is_a_failure_as_with_the_arm_and_one_that_is_renewed_is_none(clock):
+    async with rehearsed() as (arm, way, event):
         arm.move(arm.target().at_height(74.0), "descend", 1.0)
         arm.renew(9.0)
         clock.now_s = 2.0
@@ -82,19 +75,15 @@ def test_a_lease_that_ends_is_a_failure_as_with_the_arm_and_one_that_is_renewed_
         failure = await event()
         assert (type(failure), failure.source, failure.code) == (Failure, "arm", "unwatched")
 
-    rehearsed(story)
 
-
-def test_a_target_beyond_the_limits_is_a_failure_and_one_outside_the_box_is_not_begun(clock):
-    async def story(arm, _way, event):
+async def test_a_target_beyond_the_limits_is_a_failure_and_one_outside_the_box_is_not_begun(clock):
+    async with rehearsed() as (arm, _way, event):
         with pytest.raises(LimitError, match="z_mm"):
             arm.move(arm.target().at_height(1.0), "travel")
         arm.move(arm.target().at_height(60.0), "travel")
         arm._guide._guard.limits = Limits(max_speed_mm_s=1.0)
         failure = await event()
         assert (failure.code, "speed" in failure.detail) == ("limits", True)
-
-    rehearsed(story)
 
 
 def test_a_rehearsal_begins_where_it_ships():
