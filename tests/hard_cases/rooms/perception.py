@@ -14,7 +14,7 @@ from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.rigid import fit_motion
 from tests.hard_cases.instead import like, with_globals
 from tests.hard_cases.registry import Guard, case, non_finite, not_refused
-from tests.service.perception.synthetic import FRAME_NS, draw, grid, patch_fields, rigid, twist
+from tests.service.perception.synthetic import FRAME_NS, draw, grid, hard_image, patch_fields, rigid, twist
 
 SENSOR = Sensor.load()
 
@@ -174,34 +174,12 @@ def jumps_of_almost_a_pitch(seed: int) -> float:
     return worst
 
 
-def _hard_image(name: str, seed: int) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    shape = (320, 327, 3)
-    if name == "noise":
-        return rng.integers(0, 256, shape, dtype=np.uint8)
-    if name == "saturated":
-        return np.clip(draw(REST, rng).astype(int) * 3, 0, 255).astype(np.uint8)
-    if name == "covered":
-        image = draw(REST, rng)
-        image[:, 160:] = 30
-        return image
-    if name in ("black", "white"):
-        return np.full(shape, 0 if name == "black" else 255, np.uint8)
-    points = {
-        "line": REST[:1],
-        "three": REST[0, :3],
-        "twist": twist(REST, 45),
-        "scattered": rng.uniform(10, 310, (400, 2)),
-    }
-    return draw(points[name], rng)
-
-
 def _frame_case(name: str, why: str, guard: str, *, quick: bool = False) -> None:
     """A frame without usable content: every result is finite and typed, and the grid returns after it."""
 
     def measure(seed: int) -> float:
         rng = np.random.default_rng(seed + 50)
-        hard = _hard_image(name, seed)
+        hard = hard_image(name, np.random.default_rng(seed))
         field, bad = _watched([hard, hard, draw(REST, rng), draw(REST, rng)], seed)
         return max(bad, _lost(field, REST, 1.0) - 0.03)
 

@@ -98,3 +98,36 @@ def pressed(motion):
         return 0.01 * from_middle + 0.02 * np.abs(from_middle)[..., ::-1] + motion(k, rest)
 
     return spread
+
+
+def hard_image(case, rng):
+    """A picture without usable content, or with too much of it, of the grid that :func:`grid` makes by default."""
+    rest = grid()
+    if case == "noise":
+        return rng.integers(0, 256, (320, 327, 3), dtype=np.uint8)
+    if case in ("black", "white"):
+        return np.full((320, 327, 3), 0 if case == "black" else 255, np.uint8)
+    if case == "saturated":
+        return np.clip(draw(rest, rng).astype(int) * 3, 0, 255).astype(np.uint8)
+    if case == "covered":
+        image = draw(rest, rng)
+        image[:, 160:] = 30
+        return image
+    points = {
+        "twist": twist(rest, 45),
+        "twist 90": twist(rest, 90),
+        "jump 1.6 pitch": rest + 24,
+        "merged": merged(rest),
+        "line": rest[:1],
+        "three": rest[0, :3],
+        "none": rest[:0],
+        "scattered": rng.uniform(10, 310, (400, 2)),
+    }
+    return draw(points[case], rng)
+
+
+def merged(points):
+    """Two neighbours at a time pushed onto each other in a corner of the grid."""
+    moved = points.copy()
+    moved[4:10, 4:10:2] = moved[4:10, 5:11:2]
+    return moved
