@@ -119,12 +119,6 @@ def test_full_depth_alone_is_no_claim(event):
         assert "not claimed" in state.reason
 
 
-def test_a_late_slip_still_counts_as_inserted_when_the_depth_says_so():
-    state, commands = run([*TO_STOP, at(APPROACH.at_height(11.0), Standstill)])
-    assert state.phase is Phase.CLOSING
-    assert commands[-1].message.outcome == "inserted"
-
-
 def test_the_approach_goes_up_over_and_down():
     low = WorkPose(x_mm=-5.0, y_mm=2.0, z_mm=20.0, yaw_deg=0.0)
     state, commands = run([Begin(at_s=0.0, pose=low, held=True), service(hello()), Grasped(at_s=0.0, width_mm=50.0)])

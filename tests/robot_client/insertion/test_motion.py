@@ -159,16 +159,6 @@ def rotations(draw):
 ANGLE = st.floats(-720, 720) | st.sampled_from([0, 90, -90, 180, -180, 360, 179.9999, -179.9999])
 
 
-@given(rotations(), rotations(), ANGLE, st.tuples(*[st.floats(-2000, 2000)] * 6))
-def test_poses_survive_the_way_to_the_controller_and_back_at_any_angle(rotation, tool, yaw, v):
-    frame = CellFrame(origin_mm=v[:3], rotation=rotation, tool=tool)
-    start = WorkPose(x_mm=v[3], y_mm=v[4], z_mm=v[5], yaw_deg=yaw)
-    back, tilt = frame.from_controller(frame.to_controller(start), near_yaw_deg=yaw)
-    assert start.distance_mm(back) < 1e-8
-    assert start.turn_deg(back) < 1e-6
-    assert tilt < 1e-5
-
-
 @given(rotations(), ANGLE, st.floats(-16, 16))
 def test_a_yaw_correction_turns_about_the_vertical_of_the_work_object_through_the_tcp(rotation, yaw, turn):
     frame = CellFrame(origin_mm=(10.0, 20.0, 30.0), rotation=rotation)

@@ -12,13 +12,6 @@ from robot_client.robots.abb_rapid import codec
 from robot_client.robots.abb_rapid.codec import RapidTextError, TextParser
 
 
-@given(st.integers(1, 99999), st.tuples(*[st.floats(-999, 999)] * 3), st.floats(0.1, 999))
-def test_a_move_fits_a_rapid_string(number, position, speed):
-    text = codec.encode_move(number, WirePose(*position, -0.5, 0.5, -0.5, 0.5), speed)
-    assert len(text) <= 80
-    assert text.endswith(b"#")
-
-
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -1.0, 0.0])
 def test_bad_numbers_never_become_text(bad):
     with pytest.raises(RapidTextError):
@@ -37,12 +30,6 @@ def test_random_bytes_are_refused_without_harm(chunks):
                 with contextlib.suppress(ValueError):
                     decode(text)
     assert len(parser._rest) <= 80
-
-
-@given(st.text(st.characters(codec="ascii"), max_size=80))
-def test_a_guard_answer_is_read_or_refused(text):
-    with contextlib.suppress(ValueError):
-        codec.decode_guard("P " + text)
 
 
 @given(st.lists(st.text(st.sampled_from("DSE 0123"), max_size=80), max_size=6), st.data())

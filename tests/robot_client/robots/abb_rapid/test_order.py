@@ -36,6 +36,13 @@ def guard_says(arm, number, *, stopped, z_mm=40.0, turned="0 1 0 0"):
     arm._on_guard(f"P {number} 5.00 0.00 {z_mm:.2f} {turned} 0 {int(stopped)}")
 
 
+def guided():
+    arm, events = SocketArm(Settings(), Limits(), Ramps()), []
+    arm._motion, arm._guard, arm._post = Writer(), Writer(), events.append
+    guard_says(arm, 0, stopped=True)
+    return arm, events
+
+
 def rests(arm, clock, number):
     for _ in range(20):
         clock.now_s += 0.05
@@ -44,9 +51,7 @@ def rests(arm, clock, number):
 
 @pytest.mark.parametrize("answer", ["S 1", "D 1"])
 def test_an_arm_stands_still_only_once_the_motion_server_has_answered_for_the_move(clock, answer):
-    arm, events = SocketArm(Settings(), Limits(), Ramps()), []
-    arm._motion, arm._guard, arm._post = Writer(), Writer(), events.append
-    guard_says(arm, 0, stopped=True)
+    arm, events = guided()
     arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=10.0, yaw_deg=0.0), "descend", 1e9)
     guard_says(arm, 1, stopped=False)
     assert arm._motion.sent[0].startswith("M 1 ")
@@ -59,9 +64,7 @@ def test_an_arm_stands_still_only_once_the_motion_server_has_answered_for_the_mo
 
 
 def test_an_arm_that_was_never_sent_off_stands_still_at_once(clock):
-    arm, events = SocketArm(Settings(), Limits(), Ramps()), []
-    arm._motion, arm._guard, arm._post = Writer(), Writer(), events.append
-    guard_says(arm, 0, stopped=True)
+    arm, events = guided()
     arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=10.0, yaw_deg=0.0), "descend", 1e9)
     arm.hold("slip", stop=False)
     rests(arm, clock, 2)
@@ -73,9 +76,7 @@ def over(answers, *, yaw_deg=0.0):
     """Events of an arm that is held and then found at these heights, each 0.05 s after the one before."""
 
     def story(clock):
-        arm, events = SocketArm(Settings(), Limits(), Ramps()), []
-        arm._motion, arm._guard, arm._post = Writer(), Writer(), events.append
-        guard_says(arm, 0, stopped=True)
+        arm, events = guided()
         arm.hold("slip", stop=False)
         for height_mm in answers:
             clock.now_s += 0.05
@@ -107,13 +108,6 @@ def test_an_arm_that_still_turns_does_not_stand(clock, turn_deg, stands):
     """By 0.02 deg at each answer, or by 0.08."""
     events = over([40.0 + 0.01 * (k % 2) for k in range(12)], yaw_deg=turn_deg)(clock)
     assert bool(events) == stands
-
-
-def guided():
-    arm, events = SocketArm(Settings(), Limits(), Ramps()), []
-    arm._motion, arm._guard, arm._post = Writer(), Writer(), events.append
-    guard_says(arm, 0, stopped=True)
-    return arm, events
 
 
 @pytest.mark.parametrize(
