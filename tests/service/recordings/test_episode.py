@@ -5,16 +5,12 @@ import time
 from pathlib import Path
 
 import httpx
-import pytest
 
 from service.contract import FINGERS, wire
 from service.recordings.reader import Recording
 from service.recordings.writer import IMAGE
-from tests.service import drawn
 from tests.service.client import Driver
 from tests.service.conftest import LiveService
-from tests.service.mjpeg import FakeFinger
-from tests.service.process import service_process
 
 POSE = wire.ToolPose(x_mm=8.0, y_mm=0.0, z_mm=35.0, yaw_deg=6.0)
 AHEAD_NS = 7_000_000_000_000  # the client's clock, on another machine
@@ -124,29 +120,3 @@ def test_failures_are_counted_by_cause_and_only_a_person_aborts(live: LiveServic
     assert {r["cause"] for r in listed if r["insertion_id"].startswith("cause-")} == {
         *("attempts", "unwatched", "operator")
     }
-
-
-@pytest.mark.slow
-def test_a_killed_service_has_kept_all_but_half_a_second_of_the_robot(tmp_path: Path, models_folder: Path) -> None:
-    fingers = FakeFinger("left"), FakeFinger("right")
-    drawn.calibration().save(tmp_path / "calibration.toml")
-    options = ["--camera-left", fingers[0].url, "--camera-right", fingers[1].url]
-    options += ["--calibration", str(tmp_path / "calibration.toml"), "--max-frame-age-ms", "60000"]
-    with service_process(models_folder, tmp_path / "recordings", *options) as service:
-        driver = Driver(service, "killed-robot")
-        driver.until("hello")
-        stamps = tell(driver, seconds=2.0)
-        service.kill()
-    for finger in fingers:
-        finger.close()
-    with service_process(models_folder, tmp_path / "recordings", *options[4:], *pushed()) as service:
-        (row,) = httpx.get(service.url("/v1/recordings")).json()["recordings"]
-    assert (row["outcome"], row["cause"], row["object"]) == ("interrupted", "service", "box")
-    (path,) = (tmp_path / "recordings").glob("*_killed-robot/insertion.mcap")
-    recording = Recording(path)
-    newest_ns = max(entry.log_ns for entry in recording.of("/robot")) - recording.offset_ns
-    assert stamps[-1] - newest_ns < 0.5e9
-
-
-def pushed() -> list[str]:
-    return ["--camera-left", "push:", "--camera-right", "push:", "--camera-wait-s", "0"]

@@ -11,7 +11,6 @@ import subprocess
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
@@ -19,11 +18,9 @@ import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.reader import make_reader
 
-from tests.service import drawn
+from tests.service.apart import Apart, apart
 from tests.service.client import Driver
 from tests.service.conftest import LiveService
-from tests.service.mjpeg import FakeFinger
-from tests.service.process import ServiceProcess, service_process
 
 PICTURES = {"/left/image", "/right/image"}
 SCRIPT = """
@@ -100,23 +97,6 @@ def test_rerun_has_every_frame_of_both_fingers_as_a_picture(python: str, recordi
     assert decoded_by_rerun(python, recording) == recorded
 
 
-@dataclass
-class Apart:
-    """A service in a process of its own, and its cameras in this one: what a driver needs of both."""
-
-    service: ServiceProcess
-    fingers: tuple[FakeFinger, FakeFinger]
-
-    def url(self, path: str, scheme: str = "http") -> str:
-        return self.service.url(path, scheme)
-
-    @property
-    def bearer(self) -> dict[str, str]:
-        return self.service.bearer
-
-    probe = LiveService.probe
-
-
 @contextlib.contextmanager
 def watched(live: Apart) -> Iterator[None]:
     """Two viewers of each camera."""
@@ -136,30 +116,6 @@ def watched(live: Apart) -> Iterator[None]:
             stop.set()
         for viewer in viewers:
             viewer.result(60.0)
-
-
-@contextlib.contextmanager
-def apart(folder: Path, models: Path, rate_hz: float) -> Iterator[Apart]:
-    fingers = FakeFinger("left", rate_hz), FakeFinger("right", rate_hz)
-    drawn.calibration().save(folder / "calibration.toml")
-    cameras = ("--camera-left", fingers[0].url, "--camera-right", fingers[1].url, "--max-frame-age-ms", "20000")
-    patience = (
-        "--reference-timeout-s",
-        "30",
-        "--frames-timeout-s",
-        "30",
-        "--decision-timeout-s",
-        "60",
-        "--client-timeout-s",
-        "60",
-    )
-    options = (*cameras, *patience, "--calibration", str(folder / "calibration.toml"))
-    try:
-        with service_process(models, folder / "recordings", *options) as service:
-            yield Apart(service, fingers)
-    finally:
-        for finger in fingers:
-            finger.close()
 
 
 @pytest.mark.slow
