@@ -64,24 +64,19 @@ class LostController(Signals):
             raise DriverError("POST /rw/iosystem/signals: ConnectError")
 
 
-def test_a_controller_that_answers_no_more_does_not_hide_why_the_cycle_ended():
-    lines = []
+async def test_a_controller_that_answers_no_more_does_not_hide_why_the_cycle_ended():
+    async def is_empty(_work):
+        return True
 
-    async def story():
-        async def is_empty(_work):
-            return True
+    async def insert(_number):
+        signals.lost = True
+        raise DriverError("arm: silent: no new datagram for 300 ms")
 
-        async def insert(_number):
-            signals.lost = True
-            raise DriverError("arm: silent: no new datagram for 300 ms")
-
-        errands = SimpleNamespace(go=lambda _way: asyncio.sleep(0), with_gripper=is_empty, clear_mm=35.0)
-        signals = LostController(lambda: None)
-        cycle = Cycle(TAUGHT, errands, insert, lines.append, plc=Handshake(HandshakeSettings(), signals))
-        await cycle.run(None)
-
+    errands = SimpleNamespace(go=lambda _way: asyncio.sleep(0), with_gripper=is_empty, clear_mm=35.0)
+    signals, lines = LostController(lambda: None), []
+    cycle = Cycle(TAUGHT, errands, insert, lines.append, plc=Handshake(HandshakeSettings(), signals))
     with pytest.raises(DriverError, match="arm: silent"):
-        asyncio.run(story())
+        await cycle.run(None)
     assert lines[-1].startswith("the PLC may not know of the fault: POST")
 
 
@@ -129,60 +124,48 @@ class Levels:
                 await asyncio.sleep(0.01)
 
 
-def test_a_part_that_was_requested_before_a_pause_is_begun_after_it():
-    async def story():
-        plc = Levels()
-        running = await plc.offered()
-        plc.cycle.pace.order("pause")
-        plc.levels["diTactileStart"] = True
-        await plc.until(Ready=False)
-        await asyncio.sleep(0.5)
-        assert plc.parts_n == 0
-        plc.cycle.pace.order("resume")
-        await plc.until(Done=True)
-        plc.levels["diTactileStart"] = False
+async def test_a_part_that_was_requested_before_a_pause_is_begun_after_it():
+    plc = Levels()
+    running = await plc.offered()
+    plc.cycle.pace.order("pause")
+    plc.levels["diTactileStart"] = True
+    await plc.until(Ready=False)
+    await asyncio.sleep(0.5)
+    assert plc.parts_n == 0
+    plc.cycle.pace.order("resume")
+    await plc.until(Done=True)
+    plc.levels["diTactileStart"] = False
+    await running
+    assert plc.parts_n == 1
+
+
+async def test_a_part_that_is_requested_in_a_pause_is_a_fault_and_moves_nothing():
+    plc = Levels()
+    running = await plc.offered()
+    plc.cycle.pace.order("pause")
+    await plc.until(Ready=False)
+    await asyncio.sleep(0.5)
+    plc.levels["diTactileStart"] = True
+    plc.cycle.pace.order("resume")
+    with pytest.raises(DriverError, match="diTactileStart is on before doTactileReady; look whether"):
         await running
-        return plc.parts_n
-
-    assert asyncio.run(story()) == 1
+    assert (plc.parts_n, plc.levels["doTactileFault"]) == (0, True)
 
 
-def test_a_part_that_is_requested_in_a_pause_is_a_fault_and_moves_nothing():
-    async def story():
-        plc = Levels()
-        running = await plc.offered()
-        plc.cycle.pace.order("pause")
-        await plc.until(Ready=False)
-        await asyncio.sleep(0.5)
-        plc.levels["diTactileStart"] = True
-        plc.cycle.pace.order("resume")
-        with pytest.raises(DriverError, match="diTactileStart is on before doTactileReady; look whether"):
-            await running
-        return plc.parts_n, plc.levels["doTactileFault"]
-
-    assert asyncio.run(story()) == (0, True)
+async def test_a_plc_whose_request_a_person_has_stopped_is_told_by_a_fault():
+    plc = Levels()
+    running = await plc.offered()
+    plc.cycle.pace.order("stop")
+    plc.levels["diTactileStart"] = True
+    with pytest.raises(CycleHeldError, match="the part that the PLC requests was not begun"):
+        await running
+    assert (plc.parts_n, plc.levels["doTactileReady"], plc.levels["doTactileFault"]) == (0, False, True)
 
 
-def test_a_plc_whose_request_a_person_has_stopped_is_told_by_a_fault():
-    async def story():
-        plc = Levels()
-        running = await plc.offered()
-        plc.cycle.pace.order("stop")
-        plc.levels["diTactileStart"] = True
-        with pytest.raises(CycleHeldError, match="the part that the PLC requests was not begun"):
-            await running
-        return plc.parts_n, plc.levels["doTactileReady"], plc.levels["doTactileFault"]
-
-    assert asyncio.run(story()) == (0, False, True)
-
-
-def test_a_plc_that_took_its_request_back_cannot_miss_that_the_part_is_done():
-    async def story():
-        plc = Levels(lambda levels: levels.update(diTactileStart=False))  # as one that was restarted
-        running = await plc.offered()
-        plc.levels["diTactileStart"] = True
-        with pytest.raises(DriverError, match="see that the PLC does not ask for it again"):
-            await running
-        return plc.parts_n, plc.levels["doTactileDone"], plc.levels["doTactileFault"]
-
-    assert asyncio.run(story()) == (1, True, True)
+async def test_a_plc_that_took_its_request_back_cannot_miss_that_the_part_is_done():
+    plc = Levels(lambda levels: levels.update(diTactileStart=False))  # as one that was restarted
+    running = await plc.offered()
+    plc.levels["diTactileStart"] = True
+    with pytest.raises(DriverError, match="see that the PLC does not ask for it again"):
+        await running
+    assert (plc.parts_n, plc.levels["doTactileDone"], plc.levels["doTactileFault"]) == (1, True, True)

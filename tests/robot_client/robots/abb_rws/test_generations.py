@@ -1,6 +1,7 @@
 """Both generations of Robot Web Services, over real sockets and TLS: the controller shows which one it speaks."""
 
 import asyncio
+import contextlib
 from pathlib import Path
 
 import httpx
@@ -30,138 +31,108 @@ def omnicore(request, certificate):
     return certificate if request.param == "2.0" else None
 
 
-def story_of(work, **options):
-    """Run ``work`` with the RWS client's settings and the cell."""
-
-    async def story():
-        async with bench(**options) as cell:
-            return await work(cell.settings.robot.rws, cell)
-
-    return asyncio.run(asyncio.wait_for(story(), 110.0))
-
-
-async def closed(client, call):
-    """Result of a call of the client, which is closed afterwards."""
-    try:
-        return await call(client)
-    finally:
-        await client.close()
+@contextlib.asynccontextmanager
+async def reached(changes=lambda _: {}, **options):
+    """A client of the controller, its settings changed by ``changes`` of them, and the cell."""
+    async with asyncio.timeout(110.0), bench(**options) as cell:
+        rws = cell.settings.robot.rws
+        client = RwsClient(rws.model_copy(update=changes(rws)))
+        try:
+            yield client, cell
+        finally:
+            await client.close()
 
 
-def test_the_controller_is_asked_and_its_program_started_and_stopped(omnicore):
-    async def work(rws, cell):
-        async def call(client):
-            await client.start_program()
-            running = cell.cabinet.running
-            return await client.generation(), await client.status(), running, await client.stop_program()
-
-        return await closed(RwsClient(rws), call)
-
-    generation, status, running, stopped = story_of(work, omnicore=omnicore)
-    assert generation is (RWS2 if omnicore else RWS1)
-    assert (status.operating_mode, status.controller, status.execution, status.speed_ratio) == (
-        "AUTO",
-        "motoron",
-        "running",
-        "100",
-    )
-    assert running
-    assert stopped == "controller confirms: program stopped"
+async def test_the_controller_is_asked_and_its_program_started_and_stopped(omnicore):
+    async with reached(omnicore=omnicore) as (client, cell):
+        await client.start_program()
+        assert cell.cabinet.running
+        assert await client.generation() is (RWS2 if omnicore else RWS1)
+        status = await client.status()
+        assert (status.operating_mode, status.controller, status.execution) == ("AUTO", "motoron", "running")
+        assert status.speed_ratio == "100"
+        assert await client.stop_program() == "controller confirms: program stopped"
 
 
-def test_a_proxy_of_the_environment_never_comes_between_the_client_and_its_controller(omnicore, monkeypatch):
+async def test_a_proxy_of_the_environment_never_comes_between_the_client_and_its_controller(omnicore, monkeypatch):
     for name in ("http_proxy", "https_proxy", "all_proxy"):
         monkeypatch.setenv(name, "http://127.0.0.1:9")  # nobody answers there
     monkeypatch.delenv("no_proxy", raising=False)
     monkeypatch.delenv("NO_PROXY", raising=False)
-
-    async def work(rws, _cell):
-        return await closed(RwsClient(rws), RwsClient.status)
-
-    assert story_of(work, omnicore=omnicore).operating_mode == "AUTO"
+    async with reached(omnicore=omnicore) as (client, _):
+        assert (await client.status()).operating_mode == "AUTO"
 
 
-def test_every_start_is_from_main_and_continues_no_stopped_motion(omnicore):
-    async def work(rws, cell):
-        async def call(client):
-            for _ in range(2):
-                await client.start_program()
-                await client.stop_program()
-            return [entry.title for entry in cell.cabinet.log if entry.title.startswith("Program")]
-
-        return await closed(RwsClient(rws), call)
-
-    assert story_of(work, omnicore=omnicore) == 2 * ["Program started", "Program stopped"]
+async def test_every_start_is_from_main_and_continues_no_stopped_motion(omnicore):
+    async with reached(omnicore=omnicore) as (client, cell):
+        for _ in range(2):
+            await client.start_program()
+            await client.stop_program()
+        programs = [entry.title for entry in cell.cabinet.log if entry.title.startswith("Program")]
+        assert programs == 2 * ["Program started", "Program stopped"]
 
 
-def test_signals_are_read_and_switched_with_either_generation(omnicore):
-    async def work(rws, _cell):
-        async def call(client):
-            before = await client.read_signal("doSlipStop")
-            await client.write_signal("doSlipStop", on=True)
-            return before, await client.read_signal("doSlipStop")
-
-        return await closed(RwsClient(rws), call)
-
-    assert story_of(work, omnicore=omnicore) == (False, True)
+async def test_signals_are_read_and_switched_with_either_generation(omnicore):
+    async with reached(omnicore=omnicore) as (client, _):
+        assert not await client.read_signal("doSlipStop")
+        await client.write_signal("doSlipStop", on=True)
+        assert await client.read_signal("doSlipStop")
 
 
-def test_the_emulated_omnicore_answers_the_core_that_foreign_clients_ask_for(certificate):
-    async def work(rws, _cell):
-        auth, head = ("Default User", "robotics"), {"Accept": "application/hal+json;v=2.0"}
+async def test_the_emulated_omnicore_answers_the_core_that_foreign_clients_ask_for(certificate):
+    auth, head = ("Default User", "robotics"), {"Accept": "application/hal+json;v=2.0"}
+    async with bench(omnicore=certificate) as cell:
+        rws = cell.settings.robot.rws
         async with httpx.AsyncClient(base_url=rws.url, auth=auth, headers=head, verify=rws.trusted) as client:
             written = {"Content-Type": "text/plain;v=2.0"}
             put = await client.put("/fileservice/$home/a.mod", content=b"MODULE a", headers=written)
             paths = ("/fileservice/$home", "/rw/rapid/tasks/T_ROB1/modules", "/rw/cfg/moc/robot/instances", "/users")
             answers = [await client.get(path) for path in paths]
-            return put.status_code, [answer.json()["_embedded"]["resources"][0] for answer in answers]
-
-    code, (file, module, robot, user) = story_of(work, omnicore=certificate)
-    assert code == 201
+    file, module, robot, user = [answer.json()["_embedded"]["resources"][0] for answer in answers]
+    assert put.status_code == 201
     assert file["_title"] == "a.mod"
     assert (module["_type"], robot["_title"], user["_type"]) == ("rap-module-info-li", "ROB_1", "user-li")
 
 
-def error_of(changes, call=RwsClient.status, **options):
-    async def work(rws, cell):
-        settings = rws.model_copy(update=changes(rws))
+async def error_of(changes, **options):
+    async with reached(changes, **options) as (client, _):
         with pytest.raises(RwsError) as refused:
-            await closed(RwsClient(settings), call)
-        return str(refused.value)
-
-    return story_of(work, **options)
+            await client.status()
+    return str(refused.value)
 
 
-def test_a_certificate_that_is_not_trusted_is_one_line_that_says_what_to_do(certificate):
-    error = error_of(lambda _: {"certificate": None}, omnicore=certificate)
+async def test_a_certificate_that_is_not_trusted_is_one_line_that_says_what_to_do(certificate):
+    error = await error_of(lambda _: {"certificate": None}, omnicore=certificate)
     assert "certificate that is not trusted: set robot.rws.certificate" in error
     assert "\n" not in error
 
 
-def test_another_controllers_certificate_is_not_believed(certificate, tmp_path):
+async def test_another_controllers_certificate_is_not_believed(certificate, tmp_path):
     other, _ = self_made(tmp_path, "somebody-else")
-    assert "is not trusted" in error_of(lambda _: {"certificate": Path(other)}, omnicore=certificate)
+    assert "is not trusted" in await error_of(lambda _: {"certificate": Path(other)}, omnicore=certificate)
 
 
-def test_an_authoritys_certificate_is_believed_for_its_own_name_only(certificate):
+async def test_an_authoritys_certificate_is_believed_for_its_own_name_only(certificate):
     """The pinned file as an authority: the name in it is not the one that the controller is called by."""
-    assert "is not trusted" in error_of(
+    assert "is not trusted" in await error_of(
         lambda _: {"certificate": None, "ca": Path(certificate[0])}, omnicore=certificate
     )
 
 
-def test_http_to_a_controller_of_robotware_7_says_https(certificate):
-    error = error_of(lambda rws: {"url": rws.url.replace("https", "http"), "certificate": None}, omnicore=certificate)
+async def test_http_to_a_controller_of_robotware_7_says_https(certificate):
+    error = await error_of(
+        lambda rws: {"url": rws.url.replace("https", "http"), "certificate": None}, omnicore=certificate
+    )
     assert "RobotWare 7 (OmniCore) is reached by https://" in error
 
 
-def test_https_to_a_controller_of_robotware_6_says_http():
-    error = error_of(lambda rws: {"url": rws.url.replace("http", "https")})
+async def test_https_to_a_controller_of_robotware_6_says_http():
+    error = await error_of(lambda rws: {"url": rws.url.replace("http", "https")})
     assert "RobotWare 6 (IRC5) is reached by http://" in error
 
 
-def test_a_wrong_password_is_refused_by_either(omnicore):
-    assert "HTTP 401" in error_of(lambda _: {"password": SecretStr("wrong")}, omnicore=omnicore)
+async def test_a_wrong_password_is_refused_by_either(omnicore):
+    assert "HTTP 401" in await error_of(lambda _: {"password": SecretStr("wrong")}, omnicore=omnicore)
 
 
 async def test_what_is_no_controller_is_named(tmp_path):
@@ -209,14 +180,11 @@ def test_a_certificate_that_cannot_be_read_is_refused_by_the_settings(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_insertion_runs_live_with_either_generation(omnicore):
-    async def work(_rws, cell):
+async def test_an_insertion_runs_live_with_either_generation(omnicore):
+    async with bench(omnicore=omnicore) as cell:
         state = await cell.insert()
-        return state, cell.cabinet.running
-
-    state, running = story_of(work, omnicore=omnicore)
-    assert state.phase is Phase.INSERTED, state.reason
-    assert not running
+        assert state.phase is Phase.INSERTED, state.reason
+        assert not cell.cabinet.running
 
 
 @pytest.mark.parametrize(
