@@ -1,6 +1,5 @@
 """The command line: a rehearsal by default, one clear line for wrong input, and exit codes that scripts can trust."""
 
-import asyncio
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -126,11 +125,6 @@ def test_the_password_can_come_from_the_environment_and_is_never_shown(monkeypat
     assert "secret" not in repr(settings)
 
 
-def test_unknown_sections_are_refused():
-    with pytest.raises(SettingsError, match="gripperr"):
-        load_settings(None, {"gripperr": {"port": 1}})
-
-
 def test_a_ramp_of_which_one_key_is_stated_keeps_the_others():
     ramps = load_settings(None, {"ramps": {"descend": {"speed_mm_s": 4.0}}}).ramps
     assert ramps.descend == Ramps().descend.model_copy(update={"speed_mm_s": 4.0})
@@ -201,13 +195,10 @@ async def test_check_reads_every_device_and_moves_nothing(capsys):
     assert "ready to insert" in out
 
 
-def test_check_names_what_is_not_ready(capsys):
-    async def story():
-        async with bench(overrides={"service": {"url": "ws://127.0.0.1:9"}}) as cell:
-            cell.board.update({"robot": {"mode": "MANF"}, "gripper": {"not_homed": True}})
-            return await _check(cell.settings)
-
-    assert not asyncio.run(story()).done
+async def test_check_names_what_is_not_ready(capsys):
+    async with bench(overrides={"service": {"url": "ws://127.0.0.1:9"}}) as cell:
+        cell.board.update({"robot": {"mode": "MANF"}, "gripper": {"not_homed": True}})
+        assert not (await _check(cell.settings)).done
     out = capsys.readouterr().out
     assert "BAD  robot     operating mode MANF" in out
     assert "not homed" in out
@@ -224,34 +215,28 @@ async def test_jog_goes_up_over_and_down(capsys):
     assert min(p.position_mm[2] for p in path if p.position_mm[0] > -3.9) > 39.9
 
 
-def test_jog_fails_safe_when_the_robot_stops(capsys):
-    async def story():
-        async with bench() as cell:
+async def test_jog_fails_safe_when_the_robot_stops(capsys):
+    async with bench() as cell:
 
-            def stop_on_the_way():
-                if cell.cabinet.arm.pose.position_mm[2] > 45.0:
-                    cell.board.update({"robot": {"protective_stop": True}})
+        def stop_on_the_way():
+            if cell.cabinet.arm.pose.position_mm[2] > 45.0:
+                cell.board.update({"robot": {"protective_stop": True}})
 
-            cell.egm.on_cycle.append(stop_on_the_way)
+        cell.egm.on_cycle.append(stop_on_the_way)
+        with pytest.raises(DriverError, match="motors are off"):
             await _jog(cell.settings, WorkPose(x_mm=-30.0, y_mm=0.0, z_mm=100.0, yaw_deg=0.0))
 
-    with pytest.raises(DriverError, match="motors are off"):
-        asyncio.run(story())
 
-
-def test_home_refuses_to_drop_a_part_and_acknowledges_only_on_request(capsys):
-    async def story():
-        async with bench(holding=True) as cell:
-            with pytest.raises(GripperError, match="would drop"):
-                await _home(cell.settings, acknowledge=False, direction="default")
-        async with bench(holding=False) as cell:
-            cell.gripper.fast_stop()
-            with pytest.raises(GripperError, match="fault FAST_STOP; find the cause"):
-                await _home(cell.settings, acknowledge=False, direction="default")
-            assert "ACKNOWLEDGE" not in cell.wsg.counters.commands
-            return await _home(cell.settings, acknowledge=True, direction="outward")
-
-    assert asyncio.run(story()).done
+async def test_home_refuses_to_drop_a_part_and_acknowledges_only_on_request(capsys):
+    async with bench(holding=True) as cell:
+        with pytest.raises(GripperError, match="would drop"):
+            await _home(cell.settings, acknowledge=False, direction="default")
+    async with bench(holding=False) as cell:
+        cell.gripper.fast_stop()
+        with pytest.raises(GripperError, match="fault FAST_STOP; find the cause"):
+            await _home(cell.settings, acknowledge=False, direction="default")
+        assert "ACKNOWLEDGE" not in cell.wsg.counters.commands
+        assert (await _home(cell.settings, acknowledge=True, direction="outward")).done
 
 
 def test_the_configuration_in_the_readme_is_valid_and_is_the_default(tmp_path):
@@ -261,16 +246,13 @@ def test_the_configuration_in_the_readme_is_valid_and_is_the_default(tmp_path):
     assert load_settings(path) == load_settings(None)
 
 
-def test_a_services_text_cannot_command_the_operators_terminal(capsys):
-    async def story():
-        async with bench() as cell:
-            detail = "\x1b[2J\x1b]0;owned\x07\rINSERTED after 1 attempt\nINSERTED\x9b1A\u202e"
-            fault = wire.Fault(insertion_id="any", code="internal", detail=detail)
-            cell.service.on_message = lambda message: [fault] if message.type == "hello" else None
-            plan = make_plan(cell.settings, 8.0, 6.0, "hostile", None)
-            return await _insert(cell.settings, plan, live=True, log=None)
-
-    assert not asyncio.run(story()).done
+async def test_a_services_text_cannot_command_the_operators_terminal(capsys):
+    async with bench() as cell:
+        detail = "\x1b[2J\x1b]0;owned\x07\rINSERTED after 1 attempt\nINSERTED\x9b1A\u202e"
+        fault = wire.Fault(insertion_id="any", code="internal", detail=detail)
+        cell.service.on_message = lambda message: [fault] if message.type == "hello" else None
+        plan = make_plan(cell.settings, 8.0, 6.0, "hostile", None)
+        assert not (await _insert(cell.settings, plan, live=True, log=None)).done
     printed = capsys.readouterr().out
     assert printed.replace("\n", "").isprintable()
     assert "\\x1b[2J\\x1b]0;owned\\x07\\rINSERTED" in printed
