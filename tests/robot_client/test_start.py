@@ -125,17 +125,13 @@ def test_an_insertion_that_cannot_begin_says_why_and_moves_nothing(name, ended):
     assert state.attempt == 0
 
 
-def test_a_stop_that_the_controller_ignores_is_reported_as_not_confirmed():
-    async def story():
-        async with bench(overrides={"robot": {"rws": {"stop_timeout_s": 0.3}}}) as cell:
-            client = RwsClient(cell.settings.robot.rws)
-            cell.board.update({"rws": {"stop_ignored": True}})
-            await client.start_program()
-            outcome = await client.stop_program()
-            await client.close()
-            return outcome
-
-    assert "NOT CONFIRMED" in asyncio.run(story())
+async def test_a_stop_that_the_controller_ignores_is_reported_as_not_confirmed():
+    async with bench(overrides={"robot": {"rws": {"stop_timeout_s": 0.3}}}) as cell:
+        client = RwsClient(cell.settings.robot.rws)
+        cell.board.update({"rws": {"stop_ignored": True}})
+        await client.start_program()
+        assert "NOT CONFIRMED" in await client.stop_program()
+        await client.close()
 
 
 async def test_an_errand_whose_stop_is_not_confirmed_says_so():
@@ -145,18 +141,14 @@ async def test_an_errand_whose_stop_is_not_confirmed_says_so():
             await cell.settings.errands.go(straight_up(1.0))
 
 
-def test_a_stop_survives_refusals_and_cut_connections():
-    async def story():
-        async with bench() as cell:
-            client = RwsClient(cell.settings.robot.rws)
-            await client.start_program()
-            cell.board.update({"rws": {"refuse_next": 2, "reset_next": 1, "garbage_next": 1}})
-            outcome = await client.stop_program()
-            assert not cell.cabinet.running
-            await client.close()
-            return outcome
-
-    assert "confirms" in asyncio.run(story())
+async def test_a_stop_survives_refusals_and_cut_connections():
+    async with bench() as cell:
+        client = RwsClient(cell.settings.robot.rws)
+        await client.start_program()
+        cell.board.update({"rws": {"refuse_next": 2, "reset_next": 1, "garbage_next": 1}})
+        assert "confirms" in await client.stop_program()
+        assert not cell.cabinet.running
+        await client.close()
 
 
 @pytest.mark.parametrize("url", ["ftp://x", "no url", "http://"])

@@ -87,15 +87,13 @@ def test_a_ramp_beyond_the_limits_moves_nothing():
 
 
 @pytest.mark.parametrize("device", ["abb_egm", "abb_rapid"])
-def test_an_arm_beyond_half_a_turn_is_read_within_the_box_and_turns_no_further(device):
-    async def story():
-        async with bench(device=device, overrides={"limits": {"yaw_deg": [135.0, 225.0]}}) as cell:
-            cell.cabinet.arm.pose = Pose((5.0, 0.0, 40.0), tool_down(190.0))
-            cell.cabinet.arm.hold()
-            await cell.settings.errands.go(lambda here: [(here.at_height(41.0)._with(yaw_deg=192.0), "travel")])
-            return [pose.yaw_deg % 360.0 for _, _, pose in cell.trace]
-
-    yaws_deg = asyncio.run(asyncio.wait_for(story(), 60.0))
+async def test_an_arm_beyond_half_a_turn_is_read_within_the_box_and_turns_no_further(device):
+    box = {"limits": {"yaw_deg": [135.0, 225.0]}}
+    async with asyncio.timeout(60.0), bench(device=device, overrides=box) as cell:
+        cell.cabinet.arm.pose = Pose((5.0, 0.0, 40.0), tool_down(190.0))
+        cell.cabinet.arm.hold()
+        await cell.settings.errands.go(lambda here: [(here.at_height(41.0)._with(yaw_deg=192.0), "travel")])
+        yaws_deg = [pose.yaw_deg % 360.0 for _, _, pose in cell.trace]
     assert min(yaws_deg) > 189.9
     assert max(yaws_deg) < 192.1
 
@@ -116,21 +114,16 @@ EDGE = {"z_mm": [10.0, 80.0], "x_mm": [-20.0, 20.0], "y_mm": [-5.0, 5.0]}
     ("at_mm", "leaves"),
     [((5.0, 0.0, 9.98), True), ((-20.02, 5.02, 45.0), True), ((-20.2, 0.0, 45.0), False)],
 )
-def test_an_arm_that_was_sent_to_the_edge_of_the_box_leaves_it_from_a_little_beyond(device, at_mm, leaves):
-    async def story():
-        async with bench(device=device, overrides={"limits": EDGE}) as cell:
-            cell.cabinet.arm.pose = Pose(at_mm, tool_down(0.0))
-            cell.cabinet.arm.hold()
-            if leaves:
-                return await cell.settings.errands.go(
-                    over_to(WorkPose(x_mm=0.0, y_mm=0.0, z_mm=50.0, yaw_deg=0.0), 0.0)
-                )
+async def test_an_arm_that_was_sent_to_the_edge_of_the_box_leaves_it_from_a_little_beyond(device, at_mm, leaves):
+    async with asyncio.timeout(60.0), bench(device=device, overrides={"limits": EDGE}) as cell:
+        cell.cabinet.arm.pose = Pose(at_mm, tool_down(0.0))
+        cell.cabinet.arm.hold()
+        if leaves:
+            here = await cell.settings.errands.go(over_to(WorkPose(x_mm=0.0, y_mm=0.0, z_mm=50.0, yaw_deg=0.0), 0.0))
+            assert here.z_mm == pytest.approx(50.0, abs=0.1)
+        else:
             with pytest.raises(LimitError, match=r"target x_mm = -20.200, allowed -20 .. 20"):
                 await cell.settings.errands.go(straight_up(1.0))
-            return None
-
-    here = asyncio.run(asyncio.wait_for(story(), 60.0))
-    assert here is None or here.z_mm == pytest.approx(50.0, abs=0.1)
 
 
 def test_beyond_the_edge_it_goes_no_further():

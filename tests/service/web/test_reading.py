@@ -13,7 +13,7 @@ from service.web.reading import Reading
 READ_S = 0.02
 
 
-def test_recordings_are_read_one_at_a_time_and_seldom_during_an_insertion() -> None:
+async def test_recordings_are_read_one_at_a_time_and_seldom_during_an_insertion() -> None:
     spans: list[tuple[float, float]] = []
 
     def read(number: int) -> int:
@@ -22,25 +22,18 @@ def test_recordings_are_read_one_at_a_time_and_seldom_during_an_insertion() -> N
         spans.append((began_s, time.monotonic()))
         return number
 
-    async def readers() -> list[int]:
-        station: Any = SimpleNamespace(active=object())
-        reading = Reading(station)
-        return await asyncio.gather(*(reading(read, number) for number in range(5)))
-
-    began_s = time.monotonic()
-    assert asyncio.run(readers()) == [0, 1, 2, 3, 4]
+    station: Any = SimpleNamespace(active=object())
+    reading, began_s = Reading(station), time.monotonic()
+    assert await asyncio.gather(*(reading(read, number) for number in range(5))) == [0, 1, 2, 3, 4]
     took_s = time.monotonic() - began_s
     assert all(ended_s <= next_s for (_, ended_s), (next_s, _) in pairwise(spans))
     assert sum(ended_s - start_s for start_s, ended_s in spans) <= 0.25 * took_s
 
 
-def test_a_recording_that_cannot_be_read_is_refused_as_ever() -> None:
+async def test_a_recording_that_cannot_be_read_is_refused_as_ever() -> None:
     def broken() -> None:
         raise ValueError("no recording")
 
-    async def story() -> None:
-        station: Any = SimpleNamespace(active=object())
-        await Reading(station)(broken)
-
+    station: Any = SimpleNamespace(active=object())
     with pytest.raises(ValueError, match="no recording"):
-        asyncio.run(story())
+        await Reading(station)(broken)

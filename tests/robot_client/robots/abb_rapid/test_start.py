@@ -54,46 +54,39 @@ async def test_a_guard_that_says_nothing_is_no_start():
 
 
 @pytest.mark.parametrize("answers", [True, False])
-def test_a_motion_server_that_hangs_up_before_the_first_move_is_named(answers):
-    async def story():
-        async def hang_up(_reader, writer):
-            writer.close()
+async def test_a_motion_server_that_hangs_up_before_the_first_move_is_named(answers):
+    async def hang_up(_reader, writer):
+        writer.close()
 
-        async def guard(reader, writer):
-            while (data := await reader.read(80)) and answers:
-                number = data.decode().split("#")[0].split()[1]
-                writer.write(f"P {number} 0 0 40 0 1 0 0 0 1#".encode())
-            writer.close()
+    async def guard(reader, writer):
+        while (data := await reader.read(80)) and answers:
+            number = data.decode().split("#")[0].split()[1]
+            writer.write(f"P {number} 0 0 40 0 1 0 0 0 1#".encode())
+        writer.close()
 
-        servers = [await asyncio.start_server(serve, "127.0.0.1", 0) for serve in (hang_up, guard)]
-        motion, guarded = (server.sockets[0].getsockname()[1] for server in servers)
-        settings = Settings(host="127.0.0.1", motion_port=motion, guard_port=guarded, silence_s=20.0)
-        arm = SocketArm(settings, Limits(), Ramps())
-        with pytest.raises(DriverError, match=r"robot: link: the (motion server|guard) closed the connection"):
+    servers = [await asyncio.start_server(serve, "127.0.0.1", 0) for serve in (hang_up, guard)]
+    motion, guarded = (server.sockets[0].getsockname()[1] for server in servers)
+    settings = Settings(host="127.0.0.1", motion_port=motion, guard_port=guarded, silence_s=20.0)
+    arm = SocketArm(settings, Limits(), Ramps())
+    with pytest.raises(DriverError, match=r"robot: link: the (motion server|guard) closed the connection"):
+        await asyncio.wait_for(arm.start(lambda _event: None), 20.0)
+    await arm.close()
+    for server in servers:
+        server.close()
+
+
+async def test_a_controller_that_would_move_more_slowly_than_ordered_is_not_started():
+    async with asyncio.timeout(60.0), bench(device="abb_rapid") as cell:
+        cell.cabinet.speed_ratio = 50
+        arm = cell.settings.make_arm()
+        findings = await arm.checks()["robot"]()
+        with pytest.raises(DriverError, match=r"speed ratio is 50 % .expected 100.*; set it on the pendant"):
             await arm.start(lambda _event: None)
         await arm.close()
-        for server in servers:
-            server.close()
-
-    asyncio.run(asyncio.wait_for(story(), 20.0))
-
-
-def test_a_controller_that_would_move_more_slowly_than_ordered_is_not_started():
-    async def story():
-        async with bench(device="abb_rapid") as cell:
-            cell.cabinet.speed_ratio = 50
-            arm = cell.settings.make_arm()
-            findings = await arm.checks()["robot"]()
-            with pytest.raises(DriverError, match=r"speed ratio is 50 % .expected 100.*; set it on the pendant"):
-                await arm.start(lambda _event: None)
-            await arm.close()
-            return findings, cell.cabinet.running
-
-    findings, running = asyncio.run(asyncio.wait_for(story(), 60.0))
+        assert not cell.cabinet.running
     assert [finding.text for finding in findings if not finding.good] == [
         "speed ratio 50 % (expected 100: the service is told how fast the arm moves)"
     ]
-    assert not running
 
 
 def free_port():
