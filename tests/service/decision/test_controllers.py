@@ -38,21 +38,11 @@ def test_equation_1_with_the_sign_of_the_error(sign: int, estimate: float, comma
     assert axis_command(sign, estimate, first=True) == pytest.approx(command)
 
 
-@given(sign=st.sampled_from([-1, 0, 1]), estimate=errors)
-def test_after_the_first_trial_no_axis_moves_more_than_4(sign: int, estimate: float) -> None:
-    assert abs(axis_command(sign, estimate, first=False)) <= 4
-
-
 def test_the_heuristic_moves_the_whole_way_first_and_at_most_4_later() -> None:
     evidence = certain("5", 14.0, 13.0)
     moves = [Heuristic(LIMITS).decide(evidence, attempt) for attempt in (1, 2, 3, 15)]
     assert [move.dx_mm for move in moves] == pytest.approx([-9.8, -4, -4, -4])
     assert [move.dtheta_deg for move in moves] == pytest.approx([-9.1, -4, -4, -4])
-
-
-@given(sign=st.sampled_from([-1, 1]), estimate=errors)
-def test_the_heuristic_moves_against_the_direction_it_believes(sign: int, estimate: float) -> None:
-    assert axis_command(sign, estimate, first=True) * sign < 0 or abs(estimate) < 1e-300
 
 
 @settings(max_examples=25, deadline=None)

@@ -102,7 +102,7 @@ def roles(*names: str) -> list[Any]:
         (("joint",), ""),
         (("pair",), ""),
         (("joint", "direction"), "holds a joint step model beside .'direction', 'joint'."),
-        (("pair", "magnitude"), "holds a pair step model beside"),
+        (("pair", "magnitude"), "holds a pair step model beside .*; keep the pair one or the others"),
         (("direction",), "no magnitude step model"),
         (("magnitude",), "no direction step model"),
         ((), "no direction and magnitude step model"),

@@ -1,4 +1,3 @@
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -42,16 +41,6 @@ def test_networks_of_different_trainings_decide_together_with_a_caution(tmp_path
         onnx.save(tiny_models.step_model("magnitude", **changed), str(folder / "magnitude.step.onnx"))
         (caution,) = load_models(folder).cautions
         assert caution.startswith("tiny-direction and tiny-magnitude are from different trainings")
-
-
-def test_a_network_that_decides_alone_is_refused_beside_others_by_name(tmp_path: Path) -> None:
-    folder = tiny_models.write_models(tmp_path)
-    shutil.copy(RELEASED / "pair.step.onnx", folder)
-    with pytest.raises(ContractError, match=r"pair step model beside .*'direction'.*; keep the pair one or the others"):
-        load_models(folder)
-    (folder / "magnitude.step.onnx").unlink()
-    with pytest.raises(ContractError, match=r"a pair step model beside \['direction', 'pair'\]"):
-        load_models(folder)
 
 
 def test_garbage_is_no_model(tmp_path: Path) -> None:
