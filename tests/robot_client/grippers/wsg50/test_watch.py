@@ -9,7 +9,7 @@ from robot_client.grippers.wsg50.codes import Command, GraspingState, Status
 from robot_client.grippers.wsg50.driver import Wsg50
 from robot_client.grippers.wsg50.settings import Settings
 from tests.robot_client.clock import stopped_clock
-from tests.robot_client.grippers.wsg50.test_driver import story
+from tests.robot_client.grippers.wsg50.test_driver import bench
 
 
 @pytest.fixture
@@ -48,8 +48,8 @@ def test_the_state_is_looked_at_four_times_within_the_silence_that_is_allowed(cl
     assert waits_s == [pytest.approx(0.2)] * 4
 
 
-def test_a_client_that_is_stopped_while_it_connects_says_that_it_leaves():
-    async def work(cell):
+async def test_a_client_that_is_stopped_while_it_connects_says_that_it_leaves():
+    async with bench() as cell:
         connecting = asyncio.create_task(cell.driver.connect())
         while cell.emulator.connection is None:  # noqa: ASYNC110 the emulator announces nothing
             await asyncio.sleep(0)
@@ -59,6 +59,4 @@ def test_a_client_that_is_stopped_while_it_connects_says_that_it_leaves():
         await cell.anew()
         while cell.emulator.connection is not None:  # noqa: ASYNC110
             await asyncio.sleep(0.001)
-        return cell
-
-    assert story(work).emulator.counters.fast_stops_by_disconnect == 0
+    assert cell.emulator.counters.fast_stops_by_disconnect == 0
