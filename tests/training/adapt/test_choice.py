@@ -54,9 +54,9 @@ def test_the_best_of_four_needs_a_surer_gain_than_a_single_stage(tmp_path, sprea
 @pytest.mark.parametrize(
     ("count", "better", "spread", "work", "accepted"),
     [
-        (100, "all", (0.5, 1.25), False, True),
-        (99, "all", (0.5, 1.25), False, False),
-        (100, "gain", (0.5, 1.25), False, False),
+        (100, "all", (0.5, 1.3), False, True),
+        (99, "all", (0.5, 1.3), False, False),
+        (100, "gain", (0.5, 1.3), False, False),
         (100, "all", (0.6, 1.15), True, False),
     ],
     ids=["all weights, many probes", "one probe fewer", "another stage", "all weights, as many insertions"],
