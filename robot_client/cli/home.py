@@ -17,7 +17,7 @@ def home(settings: Settings, *, acknowledge: bool, direction: HomingDirection, l
         print(f"would {way}")
         return Outcome(True, {"live": False, "steps": steps})
     show(warning(live=True, simulated=settings.simulated))
-    show(f"will {way}: the fingers move, and let go of what the gripper does not know of")
+    show(f"will {way}: the fingers move, and drop a part that they do not feel")
     return asyncio.run(_home(settings, acknowledge=acknowledge, direction=direction))
 
 

@@ -93,9 +93,14 @@ class Wsg50(Gripper):
         return {"gripper": self._check}
 
     async def home(self, direction: HomingDirection) -> float:
-        """Reference the axis; refuses while something is held, since homing opens the fingers. Width in mm."""
+        """Reference the axis; refuses while something is held, since homing opens the fingers. Width in mm.
+
+        A gripper forgets its part with its last client. So the fingers close first, if they can and were not told to
+        open: who repeats a refused command must not drop what was refused.
+        """
         self._check_healthy()
-        if self.held:
+        can_feel = direction != "outward" and SystemState.REFERENCED in self.system
+        if self.held or (can_feel and not await self.finds_nothing()):
             raise GripperError("gripper: holds a part; homing would drop it")
         await self._link.request(Command.HOMING, int(codes.HomingDirection[direction.upper()]))
         return await self.width_mm()
