@@ -101,25 +101,28 @@ def _result(count: Count) -> dict[str, int | str]:
 
 
 def _take_orders(pace: Pace) -> None:
-    """From the terminal: pause, resume, stop. From another program: SIGUSR1 pauses or resumes, SIGUSR2 stops."""
+    """From the terminal: pause, resume, stop. From another program: SIGUSR1 pauses, SIGRTMIN resumes, SIGUSR2 stops.
+
+    No signal does both: who sends one does not see whether the cycle is paused, and a pause sent twice must not move.
+    """
     loop = asyncio.get_running_loop()
+
+    def order(word: str) -> None:
+        show(pace.order(word))
 
     def read() -> None:
         line = ""
         with contextlib.suppress(OSError):  # in the background the terminal is the shell's
             line = sys.stdin.readline()
         if line:
-            show(pace.order(line))
+            order(line)
         else:
             loop.remove_reader(sys.stdin)
-
-    def toggle() -> None:
-        show(pace.order("resume" if pace.paused else "pause"))
 
     signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # to read there would stop the process, and guidance with it
     if sys.stdin is not None and sys.stdin.isatty():
         with contextlib.suppress(OSError, ValueError, PermissionError):
             loop.add_reader(sys.stdin, read)
             show("type pause, resume or stop (after this part) and Enter; Ctrl-C holds the arm at once")
-    loop.add_signal_handler(signal.SIGUSR1, toggle)
-    loop.add_signal_handler(signal.SIGUSR2, lambda: show(pace.order("stop")))
+    for number, word in ((signal.SIGUSR1, "pause"), (signal.SIGRTMIN, "resume"), (signal.SIGUSR2, "stop")):
+        loop.add_signal_handler(number, order, word)

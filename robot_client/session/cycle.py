@@ -35,7 +35,7 @@ class CycleSettings(Contract):
 
     pick: WorkPose
     open_mm: float = Field(gt=0, le=300)
-    retreat_mm: float = Field(default=40.0, gt=0, le=500)
+    retreat_mm: float = Field(default=40.0, ge=1, le=500)
     regrasp: bool = True
     reject: WorkPose | None = None
     max_rejects_in_a_row: int = Field(default=2, ge=0, le=100)

@@ -3,15 +3,17 @@
 import asyncio
 import os
 import pty
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from robot_client.cli.cycle import _cycle
+from robot_client.cli.cycle import _cycle, _take_orders
 from robot_client.cli.insert import make_plan
 from robot_client.cli.main import main
+from robot_client.session.cycle import Pace
 from robot_client.session.recorder import Recorder
 from service.contract import wire
 from tests.robot_client.cycle_cell import cell_with, turned
@@ -50,6 +52,25 @@ def test_in_the_background_of_a_shell_in_which_somebody_types_it_goes_on():
         assert b"Traceback" not in printed
         shell.kill()
     os.close(master)
+
+
+def test_a_pause_that_is_sent_twice_does_not_resume(capsys):
+    async def story():
+        pace, states = Pace(), []
+        _take_orders(pace)
+        for number in (signal.SIGUSR1, signal.SIGUSR1, signal.SIGRTMIN, signal.SIGRTMIN, signal.SIGUSR2):
+            os.kill(os.getpid(), number)
+            await asyncio.sleep(0.05)
+            states.append((pace.paused, pace.ending))
+        return states
+
+    before = signal.getsignal(signal.SIGTTIN)
+    try:
+        states = asyncio.run(story())
+    finally:
+        signal.signal(signal.SIGTTIN, before)
+    assert states == [(True, False), (True, False), (False, False), (False, False), (False, True)]
+    assert capsys.readouterr().out.splitlines()[-1] == "stopping after this part"
 
 
 def test_a_part_that_is_not_there_is_named_with_the_controllers_answer_and_a_lost_log(tmp_path, capsys, monkeypatch):
