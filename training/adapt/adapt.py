@@ -138,8 +138,8 @@ def hold_out(
 def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Comparison:
     """Compare all stages' predictions on held-out fixtures; every count is compared with the release's in pairs.
 
-    The best is the likeliest stage without objections, else the calibration that makes the release less sure; if that
-    fits no better, the likeliest.
+    The best is the likeliest stage without objections, else calibration if the release is proven too sure; if it is
+    not, the likeliest.
     """
     first = samples.objects != LATER
     groups = samples.groups[first]
@@ -157,7 +157,7 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
     against: dict[StageName, tuple[str, ...]]
     against = {stage: tuple(to_gain(before, fair[stage], groups, seed, chance[stage])) for stage in likelier}
     if "calibration" in fair:
-        against["calibration"] = tuple(to_wider(before, fair["calibration"]))
+        against["calibration"] = tuple(to_wider(before))
     fallback: StageName = likelier[0] if likelier else "released"
     best = next((stage for stage in against if not against[stage]), fallback)
     objections = against.get(best, ("no stage is likelier than the release",))

@@ -70,7 +70,7 @@ def folds_of(groups: NDArray[np.str_], seed: int) -> list[Rows]:
 def calibrated(stage: StageName, scales: Scales, sample: Predictions | Densities) -> Scales:
     """Scales that fit the predictions of held-out samples, pulled to the release's; from probes if there are any.
 
-    Calibration alone makes a network no surer: it needs no proof of a gain. Nor does work. The error of a working
+    Calibration alone makes a network no surer, as it proves no gain. Nor does work. The error of a working
     insertion is known only to within the gap's clearance, and from the network's own moves, so its predictions look
     better than they are.
     """

@@ -75,10 +75,10 @@ def test_many_probes_let_all_weights_pass_with_a_gain_too_small_for_any_other_st
 @pytest.mark.parametrize("work", [False, True])
 @pytest.mark.parametrize(
     ("off", "accepted", "why"),
-    [(1.5, True, ""), (1.0, False, "no stage is likelier"), (0.5, False, "no stage is likelier")],
-    ids=["too sure", "as sure as it may be", "not sure enough"],
+    [(1.5, True, ""), *((off, False, "no stage is likelier") for off in (1.1, 1.0, 0.5))],
+    ids=["too sure", "too sure, maybe by chance", "as sure as it may be", "not sure enough"],
 )
-def test_a_release_that_is_too_sure_becomes_less_sure_without_proof_and_never_surer(tmp_path, off, accepted, why, work):
+def test_a_release_that_is_proven_too_sure_becomes_less_sure_and_never_surer(tmp_path, off, accepted, why, work):
     """It stays the same network: the same directions, the same estimates."""
     off = np.full(PROBES_N, off)
     comparison = choice(tmp_path, {"released": off, "calibration": off}, work=work)
