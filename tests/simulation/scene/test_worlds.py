@@ -131,7 +131,8 @@ def test_a_world_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, text:
         ("start = 5\n" + BOX, "start: expected a table of keys"),
         (BOX + "[blocks]\ngap_mm = 60.0\n", "blocks.gap_mm: 60.0 must exceed object.size_x_mm 60.0"),
         ('object = "box"\n', "object: expected a table of keys"),
-        ("", "object: Field required"),
+        ("", "object: missing, expected a table of keys"),
+        (BOX.replace('shape = "rectangle"', ""), "object.shape: missing, expected one of rectangle, ellipse, hexagon"),
         (BOX + "[world]\nstop_lag_s = 0.1\n", "world: this table stands in a world's file, not in the object's"),
     ],
 )
