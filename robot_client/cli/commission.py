@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from robot_client.cli.insert import fixture_of, live_ports, make_plan
-from robot_client.cli.terminal import Outcome, rehearsed, show, stop_on_signals, warning
+from robot_client.cli.terminal import Outcome, rehearsed, show, show_steps, stop_on_signals, warning
 from robot_client.insertion.events import Event, FromService
 from robot_client.insertion.state import Phase, Plan, State
 from robot_client.ports import DriverError
@@ -41,18 +41,20 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
     path = out / RECORD
     record = read_record(path)
     show(warning(live=live, simulated=settings.simulated))
+    steps = _steps(probes_n, path, record, presses=presses)
     if not live:
-        return _rehearse(probes_n, path, record, presses=presses)
+        return rehearsed("would:", steps)
     if record is None:
         record = Record(begun=time.strftime("%Y-%m-%dT%H:%M:%S"), seed=seed, object=settings.task.object)
     elif record.named:
         raise SettingsError(f"{path} names mistakes; mend them and remove it: {'; '.join(record.named)}")
+    show_steps(f"will, after it has opened the empty fingers to {taught.open_mm:g} mm:", steps)
     return asyncio.run(_commission(Probing(settings, taught, out), probes_n, path, record, presses=presses))
 
 
-def _rehearse(probes_n: int, path: Path, record: Record | None, *, presses: bool) -> Outcome:
+def _steps(probes_n: int, path: Path, record: Record | None, *, presses: bool) -> list[str]:
     done_n = len(SIDES) if record is None else max(len(SIDES), record.labelled_n)
-    steps = [
+    return [
         "put the object into the fixture and regrasp it, before each probe",
         f"probe at {_places(SIDES)}: are the signs right?",
         f"press 7 to {MOST_N} times at {_places((PLACE,))}, at two speeds: how late are pictures and arm?",
@@ -60,7 +62,6 @@ def _rehearse(probes_n: int, path: Path, record: Record | None, *, presses: bool
         f"{max(0, probes_n - done_n)} more probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
         f"keep what was seen in {path} after each",
     ]
-    return rehearsed("would:", steps)
 
 
 def _places(of: tuple[tuple[float, float], ...]) -> str:

@@ -7,8 +7,8 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from robot_client.cli.insert import fixture_of, live_ports, make_plan, with_commissioning
-from robot_client.cli.terminal import Outcome, rehearsed, show, stop_on_signals, warning
+from robot_client.cli.insert import live_ports, make_plan, regrasp_of, way_of, with_commissioning
+from robot_client.cli.terminal import Outcome, rehearsed, show, show_steps, stop_on_signals, warning
 from robot_client.insertion.state import Phase, Plan, State
 from robot_client.ports import DriverError
 from robot_client.session.afresh import new_id, upright
@@ -17,6 +17,7 @@ from robot_client.session.handshake import Handshake
 from robot_client.session.recorder import Recorder
 from robot_client.session.report import Report
 from robot_client.session.runner import Runner
+from robot_client.session.travel import pose_text
 from robot_client.settings import Settings, SettingsError
 
 
@@ -31,27 +32,32 @@ def cycle(settings: Settings, *, live: bool, asked: bool, parts_n: int | None, l
         plan = with_commissioning(settings, plan, asked=asked)
     plan.check()  # before anything is picked
     show(warning(live=live, simulated=settings.simulated))
+    steps = _steps(settings, taught, plan)
     if not live:
-        return _rehearse(settings, taught)
+        return rehearsed("would, for each part:", steps)
+    show_steps("will, for each part:", steps)
     return asyncio.run(_cycle(settings, taught, parts_n, log, plan))
 
 
-def _rehearse(settings: Settings, taught: CycleSettings) -> Outcome:
-    """Print the planned steps; `insert` without --live rehearses the insertion itself."""
-    rejected = f"carry it to {taught.reject.model_dump()}" if taught.reject else "hold with it in the hand"
-    steps = [
-        f"open to {taught.open_mm:g} mm and go to {taught.pick.model_dump()}",
-        f"close on the object, insert it {settings.task.expected_depth_mm:g} mm deep",
+def _steps(settings: Settings, taught: CycleSettings, plan: Plan) -> list[str]:
+    """The steps of a part; `insert` without --live rehearses the insertion itself."""
+    rejected = f"carry it to {pose_text(taught.reject)}, and let go" if taught.reject else "hold with it in the hand"
+    turned = "put it back at the pick, which has to be empty still" if taught.regrasp else "as if not inserted"
+    asked = "only when the PLC asks for it" if taught.plc else "AT ONCE: the gap has to be free again by itself"
+    return [
+        f"open to {taught.open_mm:g} mm and go to {pose_text(taught.pick)}",
+        f"close on the object, insert it {settings.task.expected_depth_mm:g} mm deep: {way_of(plan)}",
         f"open to {taught.open_mm:g} mm, {taught.retreat_mm:g} mm straight up, close on nothing",
+        f"if it has turned in the hand: {turned}",
         f"if it is not inserted: {rejected}",
+        f"begin the next part {asked}",
     ]
-    return rehearsed("would, for each part:", steps)
 
 
 async def _cycle(
     settings: Settings, taught: CycleSettings, parts_n: int | None, log: Path | None, first: Plan
 ) -> Outcome:
-    fixture = fixture_of(settings)
+    fixture = regrasp_of(settings)
 
     async def insert(number: int) -> State:
         plan = first.model_copy(update={"insertion_id": new_id()})
@@ -68,6 +74,7 @@ async def _cycle(
             show(f"  robot: {runner.farewell}")
         if runner.recorder.lost:
             show(f"  log {written} BROKEN OFF: {runner.recorder.lost}")
+        runner.check_stopped()  # before anything else moves, the fingers included
         if not state.done or state.reason.startswith("operator:"):
             raise DriverError(f"part {number}: interrupted, the arm holds")
         return state
@@ -94,25 +101,28 @@ def _result(count: Count) -> dict[str, int | str]:
 
 
 def _take_orders(pace: Pace) -> None:
-    """From the terminal: pause, resume, stop. From another program: SIGUSR1 pauses or resumes, SIGUSR2 stops."""
+    """From the terminal: pause, resume, stop. From another program: SIGUSR1 pauses, SIGRTMIN resumes, SIGUSR2 stops.
+
+    No signal does both: who sends one does not see whether the cycle is paused, and a pause sent twice must not move.
+    """
     loop = asyncio.get_running_loop()
+
+    def order(word: str) -> None:
+        show(pace.order(word))
 
     def read() -> None:
         line = ""
         with contextlib.suppress(OSError):  # in the background the terminal is the shell's
             line = sys.stdin.readline()
         if line:
-            show(pace.order(line))
+            order(line)
         else:
             loop.remove_reader(sys.stdin)
-
-    def toggle() -> None:
-        show(pace.order("resume" if pace.paused else "pause"))
 
     signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # to read there would stop the process, and guidance with it
     if sys.stdin is not None and sys.stdin.isatty():
         with contextlib.suppress(OSError, ValueError, PermissionError):
             loop.add_reader(sys.stdin, read)
             show("type pause, resume or stop (after this part) and Enter; Ctrl-C holds the arm at once")
-    loop.add_signal_handler(signal.SIGUSR1, toggle)
-    loop.add_signal_handler(signal.SIGUSR2, lambda: show(pace.order("stop")))
+    for number, word in ((signal.SIGUSR1, "pause"), (signal.SIGRTMIN, "resume"), (signal.SIGUSR2, "stop")):
+        loop.add_signal_handler(number, order, word)

@@ -10,12 +10,14 @@ from robot_client.settings import Settings
 
 def home(settings: Settings, *, acknowledge: bool, direction: HomingDirection, live: bool) -> Outcome:
     """Reference the gripper, first acknowledging a latched fault on the operator's request; raises DriverError."""
+    steps = (["acknowledge the latched fault"] if acknowledge else []) + [f"home {direction}"]
+    way = f"connect to {settings.gripper.address} and {', then '.join(steps)}"
     if not live:
-        steps = (["acknowledge the latched fault"] if acknowledge else []) + [f"home {direction}"]
         print(DRY_RUN)
-        print(f"would connect to {settings.gripper.address} and " + ", then ".join(steps))
+        print(f"would {way}")
         return Outcome(True, {"live": False, "steps": steps})
     show(warning(live=True, simulated=settings.simulated))
+    show(f"will {way}: the fingers move, and drop a part that they do not feel")
     return asyncio.run(_home(settings, acknowledge=acknowledge, direction=direction))
 
 

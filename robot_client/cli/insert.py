@@ -88,6 +88,7 @@ def insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> O
         settings.cycle.check(settings.limits)
     show(warning(live=live, simulated=settings.simulated))
     show(f"insertion {plan.insertion_id}: start x {plan.approach.x_mm:+.2f} mm, yaw {plan.approach.yaw_deg:+.2f} deg")
+    show(f"closes the fingers, then goes {way_of(plan)}")
     return asyncio.run(_insert(settings, plan, live=live, log=log))
 
 
@@ -97,6 +98,22 @@ def fixture_of(settings: Settings) -> Fixture | None:
     if taught is None:
         return None
     return Fixture(taught.pick, taught.open_mm, taught.retreat_mm, settings.errands)
+
+
+def regrasp_of(settings: Settings) -> Fixture | None:
+    """The fixture if an object that has turned is put back into it; None if it fills up again meanwhile."""
+    return fixture_of(settings) if settings.cycle is not None and settings.cycle.regrasp else None
+
+
+def way_of(plan: Plan) -> str:
+    """The way of an insertion in words: from wherever the arm stands to full depth, with its speeds."""
+    above, ramps = plan.approach.z_mm, plan.ramps
+    down_mm_s = max(ramps.descend.speed_mm_s, plan.pace.fast_mm_s or 0.0)
+    return (
+        f"up to z {max(above, plan.over_mm or above):+g} mm at least, over, to z {above:+g} mm, at up to"
+        f" {ramps.travel.speed_mm_s:g} mm/s and with no watch for touch; then, watched, down to"
+        f" z {plan.deepest.z_mm:+g} mm at up to {down_mm_s:g} mm/s"
+    )
 
 
 async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | None) -> Outcome:
@@ -112,13 +129,14 @@ async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | Non
         return state
 
     stop_on_signals()
-    state = await upright(plan, run, fixture_of(settings) if live else None, show)
+    state = await upright(plan, run, regrasp_of(settings) if live else None, show)
     runner, final = ran[-1]
     for line in final(state):  # with the attempts of all grasps
         show(line)
     if log is not None:
         lost = f", BROKEN OFF: {runner.recorder.lost}" if runner.recorder.lost else ""
         show(f"  log         {log}{lost}")
+    runner.check_stopped()
     summary = runner.summary() | {"attempts": state.attempt, "grasps": len(ran)}
     result = {"insertion_id": plan.insertion_id, "log": log and str(log), "live": live, **summary}
     return Outcome(state.phase is Phase.INSERTED, result)

@@ -15,12 +15,13 @@ def jog(settings: Settings, target: WorkPose, *, live: bool) -> Outcome:
     check_pose(settings.limits, target)
     check_pose(settings.limits, target.at_height(max(target.z_mm, _clear_mm(settings))), "above target")
     check_ramps(settings.limits, settings.ramps)
+    way = f"go up to z {_clear_mm(settings):+.2f} mm at least, over, then down to {pose_text(target)}"
     if not live:
         print(DRY_RUN)
-        up = f"up to z {_clear_mm(settings):+.2f} mm at least"
-        print(f"would go {up}, over, then down to {pose_text(target)}; within the limits")
+        print(f"would {way}; within the limits")
         return Outcome(True, {"live": False, "target": target.model_dump()})
     show(warning(live=True, simulated=settings.simulated))
+    show(f"will {way}, at up to {settings.ramps.travel.speed_mm_s:g} mm/s and with no watch for touch")
     return asyncio.run(_jog(settings, target))
 
 

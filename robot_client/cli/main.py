@@ -12,6 +12,7 @@ from typing import Any, get_args
 
 from pydantic import ValidationError
 
+from robot_client.cli.alone import alone
 from robot_client.cli.check import check
 from robot_client.cli.commission import commission
 from robot_client.cli.cycle import cycle
@@ -21,7 +22,7 @@ from robot_client.cli.insert import insert, make_plan, with_commissioning
 from robot_client.cli.jog import jog
 from robot_client.cli.terminal import Outcome, show
 from robot_client.insertion.geometry import WorkPose
-from robot_client.ports import DriverError, HomingDirection
+from robot_client.ports import NOT_CONFIRMED, DriverError, HomingDirection
 from robot_client.session.replay import ReplayError, replay
 from robot_client.settings import Settings, load_settings
 from service.contract.frames import first_error
@@ -154,7 +155,9 @@ def _run(args: argparse.Namespace) -> Outcome:
     }
     if args.command == "doctor":
         return doctor(args.config, overrides, args.recordings)
-    return _on_cell(args, load_settings(args.config, overrides))
+    settings = load_settings(args.config, overrides)
+    with alone(settings) if getattr(args, "live", False) else contextlib.nullcontext():
+        return _on_cell(args, settings)
 
 
 def _replayed(path: Path) -> Outcome:
@@ -204,6 +207,7 @@ def main(argv: list[str] | None = None) -> int:
     except (ValueError, OSError) as error:  # OSError: of a device's driver
         text = first_error(error) if isinstance(error, ValidationError) else reason(error)
         prefix = "FAILED SAFE" if isinstance(error, DriverError | OSError) else "error"
+        prefix = "FAILED" if NOT_CONFIRMED in text else prefix
         print(printable(f"{prefix}: {text}"), file=sys.stderr)
         code = 1 if isinstance(error, DriverError | OSError | ReplayError) else 2
         outcome = Outcome(False, {"error": text})

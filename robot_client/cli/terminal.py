@@ -39,11 +39,16 @@ def warning(*, live: bool, simulated: bool) -> str:
     return SIMULATED if simulated else NOT_A_SAFETY_FUNCTION
 
 
-def rehearsed(heading: str, steps: list[str]) -> Outcome:
-    """Print the steps of a live run; done."""
+def show_steps(heading: str, steps: list[str]) -> None:
+    """Print what comes, before anything of it does."""
     show(heading)
     for step in steps:
         show(f"  {step}")
+
+
+def rehearsed(heading: str, steps: list[str]) -> Outcome:
+    """Print the steps of a live run; done."""
+    show_steps(heading, steps)
     return Outcome(True, {"live": False, "steps": steps})
 
 

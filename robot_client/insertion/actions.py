@@ -12,6 +12,7 @@ from robot_client.insertion.state import Phase, State
 from service.contract import wire
 
 _AHEAD_S = 0.001
+_IN_PLACE_MM = 0.5  # an arm this close to the gap's vertical goes nowhere sideways
 MOST_STOOD_S = 1.0  # no message can state more
 Result = tuple[State, tuple[Command, ...]]
 
@@ -88,11 +89,14 @@ def go(
 def approach(state: State, at_s: float) -> Result:
     """Up along the vertical if the arm is lower than that, over, then down: never sideways low down.
 
-    From below the approach it goes up slowly: the object may stand between the blocks, after a fault.
+    From below the approach it goes up slowly: the object may stand between the blocks, after a fault. One that was in
+    the hand at the start stands in no fixture only where the arm is above the gap already.
     """
     assert state.pose is not None
     end, here, over_mm = state.plan.approach, state.pose, state.plan.over_mm
-    lifted_mm = end.z_mm if over_mm is None or state.held else over_mm
+    aside_mm = here.at_height(end.z_mm).distance_mm(end)
+    in_place = state.held and aside_mm <= _IN_PLACE_MM
+    lifted_mm = end.z_mm if over_mm is None or in_place else over_mm
     height_mm = max(here.z_mm, end.z_mm, lifted_mm)
     path = (here.at_height(height_mm), end.at_height(height_mm), end)
     return go(state, Phase.APPROACHING, path, "retract" if here.z_mm < end.z_mm else "travel", at_s)

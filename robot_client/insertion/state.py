@@ -59,8 +59,8 @@ class Timeouts(Contract):
 class Plan(Contract):
     """One insertion to do. ``approach`` is the TCP's pose above the gap with the start error in it.
 
-    ``over_mm``: height to which an object that is grasped first is lifted out of its fixture before it goes sideways;
-    None: no higher than the approach.
+    ``over_mm``: height to which an object is lifted out of its fixture before it goes sideways; None: no higher than
+    the approach.
 
     ``continues``: the insertion that this one continues, with the object regrasped. ``fixture``: whether there is one
     for regrasping an object that has turned in the hand. ``gels``: gels with which the cell was commissioned.

@@ -28,13 +28,15 @@ REJECTED = ("client: attempts:", "service: no_decision:", "service: refused:")
 class CycleSettings(Contract):
     """``[cycle]``: taught poses of the TCP and widths. ``reject`` None: hold with the object in the hand.
 
-    ``pick``: pose in which the fingers close on an object, from a fixture or from a hand. ``retreat_mm``: straight up,
-    clear of an object that stands there.
+    ``pick``: pose in which the fingers close on an object in its fixture. ``retreat_mm``: straight up, clear of an
+    object that stands there. ``regrasp``: an object that has turned in the hand is put back there, so nothing else may
+    get there before it is in its gap; False for a fixture that fills up again.
     """
 
     pick: WorkPose
     open_mm: float = Field(gt=0, le=300)
-    retreat_mm: float = Field(default=40.0, gt=0, le=500)
+    retreat_mm: float = Field(default=40.0, ge=1, le=500)
+    regrasp: bool = True
     reject: WorkPose | None = None
     max_rejects_in_a_row: int = Field(default=2, ge=0, le=100)
     plc: HandshakeSettings | None = None
@@ -134,7 +136,8 @@ class Cycle:
             await self.plc.begin()
         if not await self.errands.with_gripper(lambda gripper: is_empty(gripper, self.settings.open_mm)):
             raise CycleHeldError(
-                "gripper: holds something before the first part; take it out, or insert it with `insert`"
+                "gripper: holds something before the first part; put it back where it is gripped (`jog --live`) and"
+                " open the fingers (`home --live --direction outward`)"
             )
 
     async def _asked(self) -> bool:
@@ -203,4 +206,6 @@ class Cycle:
 
 async def is_empty(gripper: Gripper, open_mm: float) -> bool:
     """At the taught width the fingers hold nothing; at any other width only closing them shows it."""
+    if gripper.held:
+        return False
     return await gripper.width_mm() >= open_mm - OPEN_MM or await gripper.finds_nothing()

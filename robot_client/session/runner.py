@@ -12,7 +12,7 @@ from robot_client.insertion.events import Begin, Command, Event, Failure, Grasp,
 from robot_client.insertion.limits import LimitError
 from robot_client.insertion.machine import step
 from robot_client.insertion.state import Phase, Plan, State
-from robot_client.ports import Arm, DecisionService, Gripper
+from robot_client.ports import NOT_CONFIRMED, Arm, DecisionService, DriverError, Gripper
 from robot_client.session.recorder import Recorder
 from robot_client.session.telemetry import Telemetry
 from service.contract import wire
@@ -78,9 +78,10 @@ class Runner:
     async def run(self) -> State:
         """From connecting to closing; raises DriverError if a device cannot be made ready (nothing has moved then).
 
-        An interrupt ends the insertion like an operator's stop. During the closing it raises CancelledError.
+        An interrupt ends the insertion like an operator's stop. During the closing it raises CancelledError, or
+        DriverError if the arm's stop was not confirmed.
         """
-        interrupted = False
+        broken: DriverError | None = None
         try:
             await self.service.start(self.post)
             await self.gripper.start(self.post)
@@ -97,13 +98,26 @@ class Runner:
                 self.post(Tick(at_s=time.monotonic()))
                 self._telemetry.sample(self.state, self.state.width_mm)
         except asyncio.CancelledError:
-            interrupted = True
             self.post(Failure(at_s=time.monotonic(), source="operator", code="stop", detail="interrupted"))
+        except DriverError as error:
+            broken = error
         finally:
-            await to_the_end(self._close(), interrupted=interrupted)
+            await to_the_end(self._close(), interrupted=True)
+        if broken:
+            raise DriverError(f"{broken}; robot: {self.farewell}") if self._may_move else broken
         if was_cancelled() and not self.state.reason.startswith("operator"):
+            self.check_stopped()
             raise asyncio.CancelledError  # it ended in the same moment: nothing else may begin
         return self.state
+
+    @property
+    def _may_move(self) -> bool:
+        return self.farewell.startswith(NOT_CONFIRMED)
+
+    def check_stopped(self) -> None:
+        """Raise DriverError if the arm's stop was not confirmed: nothing else may begin, and no finger open."""
+        if self._may_move:
+            raise DriverError(f"robot: {self.farewell}")
 
     def post(self, event: Event) -> None:
         """Handle an event now, or right after the one being handled. Called by the drivers on the event loop.
@@ -165,8 +179,10 @@ class Runner:
 
     async def _close(self) -> None:
         """The arm first: its program is stopped even if another port hangs."""
-        with contextlib.suppress(Exception):
+        try:
             self.farewell = await self.arm.close()
+        except Exception as error:
+            self.farewell = f"{NOT_CONFIRMED} ({type(error).__name__} {error}): use the stop button"
         for port in (self.service, self.gripper):
             with contextlib.suppress(Exception):
                 await port.close()

@@ -83,13 +83,21 @@ class Errands:
         return here
 
     async def with_gripper(self, work: Callable[[Gripper], Awaitable[float | bool]]) -> bool:
-        """Connect the gripper, do the work, close; returns the work's answer as bool."""
-        gripper = self.make_gripper()
+        """Connect the gripper, do the work, close; returns the work's answer as bool.
+
+        Raises DriverError if the gripper fails, or is interrupted: its fingers may stand half open then.
+        """
+        gripper, interrupted = self.make_gripper(), False
         try:
             await gripper.connect()
             return bool(await work(gripper))
+        except asyncio.CancelledError:
+            interrupted = True
+            raise DriverError(
+                "operator: interrupted while the fingers moved: look where they stand, and whether they still hold"
+            ) from None
         finally:
-            await to_the_end(gripper.close())
+            await to_the_end(gripper.close(), interrupted=interrupted)
 
 
 async def _end(arm: Arm, show: Callable[[str], None]) -> None:

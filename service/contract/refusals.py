@@ -2,7 +2,7 @@
 
 import difflib
 from collections.abc import Iterable
-from typing import Any, cast
+from typing import Any, Literal, cast, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -45,6 +45,18 @@ def allowed(table: type[BaseModel] | None, key: str) -> str:
     )
 
 
+def _missing(model: type[BaseModel], path: tuple[int | str, ...]) -> str:
+    """That a key is missing, and what it holds: a table, a number in its range, one of its words."""
+    if _table(model, path):
+        return f"missing, {WORDS['model_type']}"
+    table, key = _table(model, path[:-1]), str(path[-1])
+    if bounds := allowed(table, key):
+        return f"missing, expected a number {bounds}"
+    field = table.model_fields.get(key) if table else None
+    words = get_args(field.annotation) if field and get_origin(field.annotation) is Literal else ()
+    return f"missing, expected one of {', '.join(map(str, words))}" if words else "missing"
+
+
 def describe(error: ValidationError, model: type[BaseModel], above: str = "", *, secret: bool = False) -> str:
     """One line on the first error, unknown keys first: key, expectation, given value.
 
@@ -58,12 +70,12 @@ def describe(error: ValidationError, model: type[BaseModel], above: str = "", *,
     table = _table(model, parents)
     if first["type"] == "extra_forbidden":
         what = f"unknown key{nearest(str(last), table.model_fields if table else ())}"
+    elif first["type"] == "missing":
+        what = _missing(model, keys)
     else:
         bounds = allowed(table, str(last))
         number = "a whole number" if first["type"].startswith("int_") and keys == first["loc"] else "a number"
         words = WORDS.get(first["type"], first["msg"].removeprefix("Value error, "))
         what = f"expected {number} {bounds}" if bounds else words
-        if bounds and first["type"] == "missing":
-            what = f"missing, {what}"
     given = "" if secret or first["type"] in {"value_error", "missing"} else f" (given: {first['input']!r})"
     return f"{key + ': ' if key else ''}{what}{given}"

@@ -1,5 +1,6 @@
 """Every world with every object: what `evaluate --worlds` plays, and its rows."""
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,6 +13,9 @@ from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row, class_of, ends, first_decisions, title_of
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import World
+
+UNLIKE_TRAINING = "untrained", "out_of_distribution"
+"""Refusals of what the networks do not know: what that is follows them, and then its figures."""
 
 
 def drawn_starts(scene: Scene, count: int, seed: int) -> list[tuple[float, float]]:
@@ -84,8 +88,10 @@ def _holds(interval: Sequence[float] | None, truth: float) -> bool:
 
 
 def _cause(reason: str) -> str:
-    """Who ended it and why, without details; whole for a miswired cell, and for a plan that is never allowed."""
+    """Who ended it and why, without figures; whole for a miswired cell, and for a plan that is never allowed."""
     if "contradictory" in reason or reason.startswith("limits: plan: "):
         return reason
+    if any(f": {kind}: " in reason for kind in UNLIKE_TRAINING):
+        return re.split(r" is \d| \(", reason)[0]
     parts = reason.split(": ")
-    return ": ".join(parts[: 3 if "refused" in parts else 2])
+    return ": ".join(parts[: 3 if {"refused", "no_decision"} & set(parts) else 2])

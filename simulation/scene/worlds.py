@@ -23,6 +23,7 @@ from simulation.scene.unstated import Unstated
 
 OBJECTS = Path(__file__).parents[1] / "objects"
 GAP_BEYOND_OBJECT_MM = 4.0
+AS_STATED_MM = 0.5  # a size may be stated beside a polygon's corners, in rounded figures
 START_SHARE, START_MOST_MM = 0.3, 15.0  # share of the object's width, and upper limit
 
 
@@ -146,7 +147,19 @@ def load_scene(name_or_path: str | Path, **overrides: Any) -> Scene:
         motion = _validated(path, "motion", Motion, data.pop("motion"))
         data |= {TOP_LEVEL[f"motion.{key}"]: getattr(motion, key) for key in motion.model_fields_set}
     fill(data)
-    return parsed(data, str(path))
+    scene = parsed(data, str(path))
+    _same_size(scene.object, data["object"], path)
+    return scene
+
+
+def _same_size(body: HeldObject, given: Mapping[str, Any], path: Path) -> None:
+    """Refuse sizes that a polygon's corners contradict: one of the two is a mistake."""
+    for key, spans_mm in (("size_x_mm", body.size_x_mm), ("size_y_mm", body.size_y_mm)):
+        stated = given.get(key, spans_mm)
+        if not (isinstance(stated, int | float) and abs(stated - spans_mm) <= AS_STATED_MM):
+            raise SceneError(
+                f"{path}: object.{key}: vertices_mm span {spans_mm:g}; expected no other size (given: {stated!r})"
+            )
 
 
 def freed(scene: Scene) -> Scene:

@@ -1,18 +1,18 @@
 """Choose the stage that suits a cell, on held-out fixtures, and decide whether it may replace the release."""
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from reporting.machine import commit
 from reporting.table import table
 from service.contract import ContractError
 from training.adapt.frames import Gap, framed
+from training.adapt.objections import chances, losses, to_gain, to_wider
 from training.adapt.stages import (
     FOLDS,
     STAGES,
@@ -27,19 +27,12 @@ from training.adapt.stages import (
 )
 from training.config import DataConfig
 from training.data.episodes import LATER, PROBE, read_episodes
-from training.data.labels import class_of
 from training.data.pressed import Pressed, load_pressed
 from training.fit.checkpoint import AS_TRAINED, OWN, Checkpoint
-from training.metrics.figures import Z90, Predictions, Scales, figures, probabilities
+from training.metrics.figures import Predictions, Scales, figures
 from training.metrics.joint import Densities
 
 FEWEST = 20
-DRAWS = 2000
-BY_CHANCE = 0.05
-"""Largest probability, all stages together, that a gain is chance."""
-FAVOURED_FROM, FAVOURED_SHARE = 100, 0.8
-"""Probes from which `all` gets this share of that probability: the other stages seldom win there."""
-COVERAGE_SLACK = 0.02
 Figures = dict[str, float]
 Held = dict[StageName, tuple[Predictions, Densities]]
 
@@ -145,7 +138,8 @@ def hold_out(
 def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Comparison:
     """Compare all stages' predictions on held-out fixtures; every count is compared with the release's in pairs.
 
-    The best is the likeliest stage without objections; if there is none, the likeliest.
+    The best is the likeliest stage without objections, else calibration if the release is proven too sure; if it is
+    not, the likeliest.
     """
     first = samples.objects != LATER
     groups = samples.groups[first]
@@ -156,26 +150,19 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
     predictions = {stage: pair.take(first) for stage, (pair, _) in held.items()}
     folds = folds_of(groups, seed)
     fair = {stage: _fair(stage, release.scales, one, folds) for stage, one in predictions.items()}
-    losses = {stage: _losses(one) for stage, one in fair.items()}
-    by_loss = sorted(fair, key=lambda stage: float(losses[stage].mean()))
-    likelier = by_loss[: by_loss.index("released")]
-    chances = _chances(tuple(stage for stage in fair if stage != "released"), int((samples.objects == PROBE).sum()))
-    against = {
-        stage: tuple(_objections(fair["released"], fair[stage], groups, seed, chances[stage])) for stage in likelier
-    }
-    best = next((stage for stage in likelier if not against[stage]), by_loss[0])
+    loss = {stage: float(losses(one).mean()) for stage, one in fair.items()}
+    before, rivals = fair["released"], tuple(stage for stage in fair if stage not in ("released", "calibration"))
+    chance = chances(rivals, int((samples.objects == PROBE).sum()))
+    likelier = sorted((stage for stage in rivals if loss[stage] < loss["released"]), key=loss.__getitem__)
+    against: dict[StageName, tuple[str, ...]]
+    against = {stage: tuple(to_gain(before, fair[stage], groups, seed, chance[stage])) for stage in likelier}
+    if "calibration" in fair:
+        against["calibration"] = tuple(to_wider(before))
+    fallback: StageName = likelier[0] if likelier else "released"
+    best = next((stage for stage in against if not against[stage]), fallback)
     objections = against.get(best, ("no stage is likelier than the release",))
-    described = {stage: {**figures(one), "likelihood": float(losses[stage].mean())} for stage, one in fair.items()}
+    described = {stage: {**figures(one), "likelihood": loss[stage]} for stage, one in fair.items()}
     return Comparison(described, best, objections, len(groups), fixtures_n)
-
-
-def _chances(stages: tuple[StageName, ...], probes_n: int) -> dict[StageName, float]:
-    """Each stage's part of `BY_CHANCE`, because one stage of several is chosen (weighted Bonferroni)."""
-    others = len(stages) - ("all" in stages)
-    if not others or "all" not in stages or probes_n < FAVOURED_FROM:
-        return dict.fromkeys(stages, BY_CHANCE / max(1, len(stages)))
-    left = (1.0 - FAVOURED_SHARE) / others
-    return {stage: BY_CHANCE * (FAVOURED_SHARE if stage == "all" else left) for stage in stages}
 
 
 def _fair(stage: StageName, scales: Scales, predictions: Predictions | Densities, folds: list[Rows]) -> Predictions:
@@ -185,7 +172,7 @@ def _fair(stage: StageName, scales: Scales, predictions: Predictions | Densities
     parts = []
     for held in folds:
         mine = np.isin(np.arange(len(predictions.truth)), held)
-        parts.append(predictions.take(mine).rescaled(calibrated(scales, predictions.take(~mine))))
+        parts.append(predictions.take(mine).rescaled(calibrated(stage, scales, predictions.take(~mine))))
     back = np.argsort(np.concatenate([np.sort(held) for held in folds]))
     joined = {name: np.concatenate([getattr(part, name) for part in parts])[back] for name in Predictions.__slots__}
     return Predictions(**joined)
@@ -220,8 +207,8 @@ def _fitted(
         release,
         name=f"{release.name}-adapted",
         weights={name: value.detach().clone() for name, value in network.state_dict().items()},
-        scales=calibrated(release.scales, pair),
-        joint_scales=calibrated(release.joint_scales, joint),
+        scales=calibrated(comparison.best, release.scales, pair),
+        joint_scales=calibrated(comparison.best, release.joint_scales, joint),
         figures={
             OWN: dict(comparison.figures[comparison.best]),
             f"joint/{OWN}": figures(_fair(comparison.best, release.joint_scales, joint, folds)),
@@ -248,50 +235,6 @@ def _learnt_from(release: Checkpoint, path: Path) -> list[str]:
 
 def _digests(samples: Pressed) -> list[str]:
     return [hashlib.sha256(name.encode()).hexdigest()[:12] for name in np.unique(samples.groups).tolist()]
-
-
-def _losses(predictions: Predictions) -> NDArray[np.float64]:
-    """[N]: negative log likelihood of class and error."""
-    labels = class_of(predictions.truth.astype(np.float32))
-    p = probabilities(predictions.logits, 1.0)[np.arange(len(labels)), labels]
-    z = (predictions.error - predictions.truth) / np.exp(predictions.log_sigma)
-    return np.asarray(-np.log(np.maximum(p, 1e-12)) + (0.5 * z**2 + predictions.log_sigma).mean(1), np.float64)
-
-
-def _objections(
-    before: Predictions, after: Predictions, groups: NDArray[np.str_], seed: int, chance: float
-) -> Iterable[str]:
-    """Objections to a replacement: the gain by a paired bootstrap over fixtures, each count by its mean."""
-    fixtures = np.unique(groups, return_inverse=True)[1]
-    counts: dict[str, Callable[[Predictions], NDArray[np.float64]]] = {
-        "direction": lambda one: (one.logits.argmax(1) != class_of(one.truth.astype(np.float32))).astype(np.float64),
-        "error in x": lambda one: np.abs(one.error - one.truth)[:, 0],
-        "error in yaw": lambda one: np.abs(one.error - one.truth)[:, 1],
-    }
-    gained = _means(_losses(before) - _losses(after), fixtures, seed)
-    if (least := float(np.quantile(gained, chance))) <= 0.0:
-        yield f"likelier by {gained.mean():.3f}, which may be chance ({chance:.2%} quantile {least:.3f})"
-    for name, count in counts.items():
-        lost = float((count(after) - count(before)).mean())
-        if lost > 0.0:
-            yield f"{name} is worse by {lost:.3f}"
-    for axis, name in enumerate(("x", "yaw")):
-        was, now = (_coverage(predictions, axis) for predictions in (before, after))
-        if abs(now - 0.9) > abs(was - 0.9) + COVERAGE_SLACK:
-            yield f"the 90 % interval of {name} holds {now:.0%} of errors, {was:.0%} before"
-
-
-def _coverage(predictions: Predictions, axis: int) -> float:
-    off = np.abs(predictions.error - predictions.truth)[:, axis]
-    return float((off <= Z90 * np.exp(predictions.log_sigma[:, axis])).mean())
-
-
-def _means(values: NDArray[np.float64], fixtures: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
-    """Means of bootstrap draws of whole fixtures [DRAWS]."""
-    count = np.bincount(fixtures)
-    total = np.bincount(fixtures, values)
-    drawn = np.random.default_rng(seed).integers(0, len(count), (DRAWS, len(count)))
-    return np.asarray(total[drawn].sum(1) / count[drawn].sum(1), np.float64)
 
 
 def report(comparison: Comparison) -> dict[str, object]:

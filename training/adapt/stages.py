@@ -67,11 +67,12 @@ def folds_of(groups: NDArray[np.str_], seed: int) -> list[Rows]:
     return [np.flatnonzero(np.isin(groups, part)) for part in np.array_split(names, FOLDS)]
 
 
-def calibrated(scales: Scales, sample: Predictions | Densities) -> Scales:
+def calibrated(stage: StageName, scales: Scales, sample: Predictions | Densities) -> Scales:
     """Scales that fit the predictions of held-out samples, pulled to the release's; from probes if there are any.
 
-    The error of a working insertion is known only to within the gap's clearance, and from the network's own moves. Its
-    predictions look better than they are, so confidence is never raised from work.
+    Calibration alone makes a network no surer, as it proves no gain. Nor does work. The error of a working
+    insertion is known only to within the gap's clearance, and from the network's own moves, so its predictions look
+    better than they are.
     """
     known = sample.objects == PROBE
     if hindsight := not known.any():
@@ -81,7 +82,7 @@ def calibrated(scales: Scales, sample: Predictions | Densities) -> Scales:
     def pulled(name: str) -> float:
         was = float(getattr(scales, name))
         scale = float(was ** (1.0 - share) * getattr(fitted, name) ** share)
-        return max(was, scale) if hindsight else scale
+        return max(was, scale) if hindsight or stage == "calibration" else scale
 
     return Scales(pulled("temperature"), pulled("sigma_x"), pulled("sigma_theta"))
 

@@ -117,7 +117,8 @@ def adapt(
     """Fit a released network to one cell; exit status 3 if the release stays, with the missing evidence.
 
     It learns from probes of known error and from successful insertions. Stages from calibration alone to all weights
-    are compared on held-out fixtures; one is accepted only if it is likelier and no count is worse.
+    are compared on held-out fixtures; one is accepted only if it is likelier and no count is worse. Calibration, which
+    makes the release less sure and changes nothing else, is accepted where the release is proven too sure.
 
     Args:
         recordings: folder of recordings of the cell, real or simulated.

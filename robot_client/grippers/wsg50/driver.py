@@ -21,7 +21,7 @@ from robot_client.ports import Check, Finding, Gripper, HomingDirection, Post
 from robot_client.silence import Silence
 
 _HOME = "`python -m robot_client home --live` with empty fingers"
-_ACKNOWLEDGE = "`python -m robot_client home --live --acknowledge`"
+_ACKNOWLEDGE = "`python -m robot_client home --live --acknowledge` with empty fingers"
 _WIDTH_STEP_MM = 0.1  # a smaller change of the width is not reported
 _OPENED_MM = 1.0
 
@@ -93,9 +93,14 @@ class Wsg50(Gripper):
         return {"gripper": self._check}
 
     async def home(self, direction: HomingDirection) -> float:
-        """Reference the axis; refuses while something is held, since homing opens the fingers. Width in mm."""
+        """Reference the axis; refuses while something is held, since homing opens the fingers. Width in mm.
+
+        A gripper forgets its part with its last client. So the fingers close first, if they can and were not told to
+        open: who repeats a refused command must not drop what was refused.
+        """
         self._check_healthy()
-        if self.held:
+        can_feel = direction != "outward" and SystemState.REFERENCED in self.system
+        if self.held or (can_feel and not await self.finds_nothing()):
             raise GripperError("gripper: holds a part; homing would drop it")
         await self._link.request(Command.HOMING, int(codes.HomingDirection[direction.upper()]))
         return await self.width_mm()

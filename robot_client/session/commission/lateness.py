@@ -21,8 +21,8 @@ FASTS_N, MOST_N = 2, 13
 """Fast presses that are needed, and presses at most, four of them fast: some tell nothing, their contact not known."""
 STICKS, SLIDES = 0.5, 1.0
 """Part of the time between two frames by which a contact between them is uncertain: all of it if the object slides."""
-LEAST_OPEN_S = 0.02
-"""And by this at least: each press is read to about a tenth of a millimetre, and the speeds are 6 mm/s apart."""
+LEAST_OPEN_S = 0.03
+"""And by this at least: of fast cameras an estimate scatters by 9 ms (simulated), three times which is rare."""
 SLIDES_MM = 0.3  # an object that a slow press pushes up by more slides: its motion does not grow in a straight line
 
 

@@ -38,6 +38,9 @@ CHARTS = {
     "coverage": "how many 90 % intervals hold",
     "trials": "how many attempts an object takes",
 }
+MAY_GO_ON = frozenset(
+    {"attempts", "no_decision", "refused"}
+)  # a cycle may carry such a part away: who reads keeps clear
 SHORT_N = 6  # of the letters of a version's name
 TIMES = {1: "once", 2: "twice"}
 SURE = ((0.9, "very sure"), (0.7, "fairly sure"), (0.45, "unsure"), (0.0, "guessing"))
@@ -66,7 +69,7 @@ def ended(outcome: str, cause: str | None, attempts_n: int, named: str = "", afr
     if outcome == "aborted":
         words = what_of(cause)
         return words[:1].upper() + words[1:]
-    return f"Holding: {what_of(cause)}"
+    return f"{'Not inserted' if cause in MAY_GO_ON else 'Holding'}: {what_of(cause)}"
 
 
 LINES: dict[type, Callable[[Any], str]] = {

@@ -3,17 +3,20 @@
 import asyncio
 import os
 import pty
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from robot_client.cli.cycle import _cycle
+from robot_client.cli.cycle import _cycle, _take_orders
 from robot_client.cli.insert import make_plan
 from robot_client.cli.main import main
+from robot_client.session.cycle import Pace
 from robot_client.session.recorder import Recorder
-from tests.robot_client.cycle_cell import cell_with
+from service.contract import wire
+from tests.robot_client.cycle_cell import cell_with, turned
 
 SHELL = """
 import fcntl, subprocess, sys, termios, time
@@ -51,6 +54,25 @@ def test_in_the_background_of_a_shell_in_which_somebody_types_it_goes_on():
     os.close(master)
 
 
+def test_a_pause_that_is_sent_twice_does_not_resume(capsys):
+    async def story():
+        pace, states = Pace(), []
+        _take_orders(pace)
+        for number in (signal.SIGUSR1, signal.SIGUSR1, signal.SIGRTMIN, signal.SIGRTMIN, signal.SIGUSR2):
+            os.kill(os.getpid(), number)
+            await asyncio.sleep(0.05)
+            states.append((pace.paused, pace.ending))
+        return states
+
+    before = signal.getsignal(signal.SIGTTIN)
+    try:
+        states = asyncio.run(story())
+    finally:
+        signal.signal(signal.SIGTTIN, before)
+    assert states == [(True, False), (True, False), (False, False), (False, False), (False, True)]
+    assert capsys.readouterr().out.splitlines()[-1] == "stopping after this part"
+
+
 def test_a_part_that_is_not_there_is_named_with_the_controllers_answer_and_a_lost_log(tmp_path, capsys, monkeypatch):
     def full(self, _line):
         self.lost = "No space left on device"
@@ -71,6 +93,65 @@ def test_a_part_that_is_not_there_is_named_with_the_controllers_answer_and_a_los
     (log,) = tmp_path.iterdir()
     assert f"insertion {log.stem}\n" in lines, "the name of its recording, and of its lines in the service's log"
     assert "BROKEN OFF: No space left on device" in lines
+
+
+def test_nothing_is_let_go_of_while_nobody_confirms_that_the_arm_has_stopped(monkeypatch):
+    async def story():
+        async with cell_with(seed=10) as (cell, part):
+            rws = cell.settings.robot.rws.model_copy(update={"stop_timeout_s": 0.3})
+            robot = cell.settings.robot.model_copy(update={"rws": rws})
+            settings = cell.settings.model_copy(update={"robot": robot})
+            monkeypatch.setattr(cell, "settings", settings)
+
+            def ignore_the_stop(message):
+                if isinstance(message, wire.Stopped):
+                    cell.board.update({"rws": {"stop_ignored": True}})
+
+            cell.service.on_message = ignore_the_stop
+            outcome = await _cycle(settings, settings.cycle, 1, None, make_plan(settings, 0.0, 0.0, None, None))
+            return outcome, part.left, part.held
+
+    outcome, left, held = asyncio.run(asyncio.wait_for(story(), 60.0))
+    assert "STOP NOT CONFIRMED" in outcome.result["reason"]
+    assert (outcome.done, outcome.result["inserted"], left, held) == (False, 0, [], True)
+
+
+def test_a_part_is_not_put_back_into_a_fixture_that_fills_up_again():
+    async def story():
+        async with cell_with(seed=1) as (cell, part):  # its first attempt is blocked
+            taught = cell.settings.cycle.model_copy(update={"regrasp": False})
+            settings = cell.settings.model_copy(update={"cycle": taught})
+            takes_afresh = []
+
+            def refuse(message):
+                if isinstance(message, wire.ClientHello):
+                    takes_afresh.append(message.takes_afresh)
+                return [turned(message)] if isinstance(message, wire.Arm) and message.attempt == 2 else None
+
+            cell.service.on_message = refuse
+            outcome = await _cycle(settings, taught, 1, None, make_plan(settings, 0.0, 0.0, None, None))
+            return outcome, takes_afresh, part.held, cell.cabinet.arm.pose.position_mm[0]
+
+    outcome, takes_afresh, held, x_mm = asyncio.run(asyncio.wait_for(story(), 60.0))
+    assert "turned_in_hand" in outcome.result["reason"]
+    assert (takes_afresh, held) == ([False], True)
+    assert x_mm > 0.0, "above the gap, not at the fixture"
+
+
+@pytest.mark.parametrize(
+    ("keys", "expect"),
+    [
+        ("", ["put it back at the pick, which has to be empty", "AT ONCE: the gap has to be free again by itself"]),
+        ("regrasp = false\n[cycle.plc]\n", ["as if not inserted", "only when the PLC asks for it"]),
+    ],
+)
+def test_a_cycle_says_what_it_takes_for_granted_before_anything_moves(keys, expect, tmp_path, capsys):
+    path = tmp_path / "cell.toml"
+    path.write_text(f"[cycle]\nopen_mm = 80\npick = {{x_mm = -20, y_mm = 0, z_mm = 45, yaw_deg = 0}}\n{keys}")
+    assert main(["cycle", "--config", str(path)]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    for words in expect:
+        assert words in printed
 
 
 @pytest.mark.parametrize("command", ["cycle", "commission"])

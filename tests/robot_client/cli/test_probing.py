@@ -79,9 +79,14 @@ def test_the_fingers_are_open_before_they_go_down_to_the_fixture(tmp_path, width
     assert min(widths) >= 79.0
 
 
-def test_fingers_that_hold_something_go_nowhere(tmp_path):
+@pytest.mark.parametrize(("width_mm", "held"), [(40.0, False), (79.5, True)])
+def test_fingers_that_hold_something_go_nowhere(tmp_path, monkeypatch, width_mm, held):
+    """Nor do they open: not even on a part that is as wide as the fingers were taught to open."""
+    monkeypatch.setattr(Fingers, "held", held)
+    fingers = Fingers(width_mm, empty=False)
     with pytest.raises(DriverError, match="holds something"):
-        fetched(Fingers(40.0, empty=False), tmp_path)
+        fetched(fingers, tmp_path)
+    assert fingers.is_mm == width_mm
 
 
 @pytest.mark.parametrize("until_slip", [True, False])

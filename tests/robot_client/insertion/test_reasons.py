@@ -202,6 +202,9 @@ def test_the_last_attempt_may_still_go_in():
     assert inserted.phase is Phase.CLOSING
     blocked, _ = step(state, at(APPROACH.at_height(12.0), Standstill))
     assert blocked.reason == "client: attempts: not inserted after 1 attempts"
+    limited = {"limits": Limits(max_attempts=1), "continues": "before"}
+    again, _ = step(run(TO_STOP, State(PLAN.model_copy(update=limited)))[0], at(APPROACH.at_height(12.0), Standstill))
+    assert again.reason == "client: attempts: not inserted after 1 attempts since it was regrasped"
 
 
 @pytest.mark.parametrize("phase", [Phase.APPROACHING, Phase.ARMING, Phase.DECIDING, Phase.CLOSING])

@@ -84,7 +84,7 @@ def test_the_larger_of_both_values_counts_and_what_two_frames_leave_open_is_adde
     assert next_is_fast(afresh[:-1]) is False
     slides = series_of(0.05, crept_mm=0.8)
     assert late_s(slides) == pytest.approx(0.05 + FRAME_S), "its first motion is no straight line"
-    assert late_s(series_of(0.05, frame_s=0.005)) == pytest.approx(0.07), "a press is not read more closely"
+    assert late_s(series_of(0.05, frame_s=0.005)) == pytest.approx(0.08), "a press is not read more closely"
 
 
 ENOUGH = wire.Enough(insertion_id=ID, attempt=1, frame_seq=3, captured_ns=30_000_000, pressed_mm=0.8)

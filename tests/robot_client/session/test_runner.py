@@ -12,7 +12,7 @@ import pytest
 from robot_client.cli import jog, terminal
 from robot_client.insertion.events import Arrived, Failure
 from robot_client.insertion.state import Phase
-from robot_client.ports import DriverError
+from robot_client.ports import NOT_CONFIRMED, DriverError
 from robot_client.session.recorder import Recorder
 from robot_client.session.runner import Runner
 from robot_client.session.travel import Errands
@@ -25,8 +25,8 @@ class Port:
 
     held = False
 
-    def __init__(self, name, notes, breaks=""):
-        self.name, self.notes, self.breaks = name, notes, breaks
+    def __init__(self, name, notes, breaks="", farewell="controller confirms"):
+        self.name, self.notes, self.breaks, self.farewell = name, notes, breaks, farewell
         self.closing = asyncio.Event()
 
     async def start(self, post):
@@ -57,7 +57,9 @@ class Port:
         self.notes.append(f"stopping {self.name}")
         await self.closing.wait()
         self.notes.append(f"stopped {self.name}")
-        return "controller confirms"
+        if not self.farewell:
+            raise OSError("the controller is gone")
+        return self.farewell
 
 
 def runner(notes, observers=(), **breaks):
@@ -91,6 +93,30 @@ async def test_an_operator_who_presses_twice_does_not_break_off_the_stop_that_th
         f"{word} {name}" for name in ("arm", "service", "gripper") for word in ("stopping", "stopped")
     ]
     assert (state.phase, run.farewell) == (Phase.FAILED, "controller confirms")
+
+
+@pytest.mark.parametrize("farewell", [f"{NOT_CONFIRMED} by the controller: use the stop button", ""])
+@pytest.mark.parametrize("ready", [True, False])
+def test_an_arm_whose_stop_nobody_confirms_is_never_passed_over(ready, farewell):
+    """Whatever else ended the insertion, here an interrupt or a gripper, and also where the driver breaks."""
+
+    async def not_ready(_post):
+        raise DriverError("gripper: not homed")
+
+    async def story():
+        run = runner([], service="gone")  # the insertion ends by itself
+        run.arm.farewell, run.gripper.start = farewell, run.gripper.start if ready else not_ready
+        task = asyncio.ensure_future(run.run())
+        await asyncio.sleep(0.05)
+        if ready:
+            task.cancel()
+        for port in (run.arm, run.service, run.gripper):
+            port.closing.set()
+        with pytest.raises(DriverError, match=r"STOP NOT CONFIRMED.*: use the stop button") as raised:
+            await task
+        assert ("not homed" in str(raised.value)) != ready
+
+    asyncio.run(story())
 
 
 @pytest.mark.parametrize("moving", ["insertion", "way"])

@@ -13,6 +13,7 @@ from robot_client.grippers.dry_run.driver import DryGripper
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, Limits, check_pose
 from robot_client.insertion.motion import Ramp
+from robot_client.ports import DriverError
 from robot_client.robots.dry_run.driver import DryArm
 from robot_client.robots.dry_run.driver import Settings as DryRun
 from robot_client.session.afresh import Fixture
@@ -75,6 +76,28 @@ async def test_a_jog_draws_an_object_out_of_the_blocks_and_lowers_it_into_its_fi
         path = [pose.position_mm for _, _, pose in cell.trace]
     assert min(z for x, _, z in path if -19.9 < x < -0.1) > clear_mm - 0.1
     assert path[-1] == pytest.approx((end.x_mm, end.y_mm, end.z_mm), abs=0.05)
+
+
+def test_an_interrupt_while_the_fingers_move_does_not_say_that_it_came_between_two_steps():
+    notes = []
+
+    class Slow(DryGripper):
+        async def release(self, _width_mm):
+            await asyncio.Event().wait()
+
+        async def close(self):
+            notes.append("left in order")
+
+    async def story():
+        errands = replace(Settings().errands, make_gripper=Slow)
+        task = asyncio.ensure_future(Cycle(TAUGHT, errands, None, print)._open())
+        await asyncio.sleep(0.01)
+        task.cancel()
+        with pytest.raises(DriverError, match="interrupted while the fingers moved: look where they stand"):
+            await task
+
+    asyncio.run(story())
+    assert notes == ["left in order"]
 
 
 def test_a_ramp_beyond_the_limits_moves_nothing():

@@ -29,7 +29,7 @@ def test_a_saved_calibration_loads_back_exactly(tmp_path):
         (lambda text: text.replace("[left]", "[middle]"), "middle is not used; allowed: left, right"),
         (lambda text: text.replace("schema_version = 1", "schema_version = 9"), "schema_version"),
         (lambda text: text.replace("raw_px = [427, 320]", "raw_px = [427]", 1), "left"),
-        (lambda text: text.replace("raw_px = [427, 320]", "", 1), "raw_px: Field required"),
+        (lambda text: text.replace("raw_px = [427, 320]", "", 1), "raw_px: missing"),
         (lambda text: text.replace(repr(float(TRAPEZOID[0, 0])), "nan"), "finite"),
         (lambda _: "a = [", "not valid TOML"),
         (lambda text: text.replace("[327, 320]", "[320, 320]", 1), "left and right to 320 x 320 and 327 x 320"),

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
+from robot_client.insertion.actions import cause_of
+from robot_client.session.cycle import REJECTED
 from service.contract import wire
 from service.contract.words.causes import CAUSES
 from service.decision.controllers import BeliefPicture, Command
@@ -126,6 +128,13 @@ def test_an_object_that_is_taken_afresh_holds_nothing_up_and_its_attempts_are_co
     assert ended("inserted", None, 3, "rectangle", 1) == "Rectangle inserted after 3 attempts, regrasped once"
     finished = wire.Finished(insertion_id="again", outcome="inserted", attempts=2)
     assert event(finished, earlier_n=1) == "object inserted after 3 attempts", "as the headline counts"
+
+
+@pytest.mark.parametrize("reason", REJECTED)
+def test_the_page_does_not_say_that_an_arm_holds_that_may_carry_its_part_away(reason: str) -> None:
+    source, code = reason.rstrip(":").split(": ")
+    assert ended("failed", cause_of(source, code), 3).startswith("Not inserted: ")  # type: ignore[arg-type]
+    assert ended("failed", "arm", 3).startswith("Holding: ")
 
 
 def test_an_object_that_nobody_takes_afresh_becomes_an_alarm(

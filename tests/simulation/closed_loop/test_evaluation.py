@@ -55,7 +55,16 @@ def test_an_insertion_without_an_equilibrium_is_not_said_to_be_refused():
 @pytest.mark.parametrize(
     ("reason", "named"),
     [
-        ("service: refused: untrained: grip_n is 9, trained on 9.4 to 43", "service: refused: untrained"),
+        ("service: refused: untrained: grip_n is 9, trained on 9.4 to 43", "service: refused: untrained: grip_n"),
+        (
+            "service: no_decision: out_of_distribution: speed_mm_s is 2, the networks were trained on 2.9 to 41",
+            "service: no_decision: out_of_distribution: speed_mm_s",
+        ),
+        (
+            "service: no_decision: out_of_distribution: is a camera mirrored? (strangeness 6.2, at most 5.0)",
+            "service: no_decision: out_of_distribution: is a camera mirrored?",
+        ),
+        ("service: no_decision: no_motion: no marker moved by 0.05 mm", "service: no_decision: no_motion"),
         ("limits: plan: plan z_mm = 0.0, allowed 5 .. 150", "limits: plan: plan z_mm = 0.0, allowed 5 .. 150"),
         ("service: unwatched: newest frame judged 403 ms ago", "service: unwatched"),
         (

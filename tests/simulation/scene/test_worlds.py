@@ -118,6 +118,12 @@ def test_a_world_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, text:
         (PENTAGON.replace("[0.0, 38.0]", "[0.0, 10.0]"), "object.vertices_mm: expected corners of a convex polygon"),
         (PENTAGON.replace("[0.0, 38.0]", "[0.0]"), "object.vertices_mm"),
         (PENTAGON + "corner_radius_mm = 40.0\n", "object.corner_radius_mm: two corners' arcs do not fit on the edge"),
+        (
+            PENTAGON + "size_y_mm = 80.0\n",
+            "object.size_y_mm: vertices_mm span 60; expected no other size (given: 80.0)",
+        ),
+        (PENTAGON + "size_x_mm = 'wide'\n", "object.size_x_mm: vertices_mm span 60; expected no other size"),
+        (PENTAGON + "size_x_mm = nan\n", "object.size_x_mm: vertices_mm span 60; expected no other size"),
         (PENTAGON + "held_size_x_mm = 30.0\n", "object.held_size_x_mm: expected with held_shape"),
         (HEXAGON + "size_y_mm = 20.0\ncorner_radius_mm = 10.0\n", "object.corner_radius_mm: two corners' arcs do not"),
         (TIN + "corner_radius_mm = 1.0\n", "object.corner_radius_mm: an ellipse has none"),
@@ -131,7 +137,8 @@ def test_a_world_that_cannot_be_is_refused_by_file_and_key(tmp_path: Path, text:
         ("start = 5\n" + BOX, "start: expected a table of keys"),
         (BOX + "[blocks]\ngap_mm = 60.0\n", "blocks.gap_mm: 60.0 must exceed object.size_x_mm 60.0"),
         ('object = "box"\n', "object: expected a table of keys"),
-        ("", "object: Field required"),
+        ("", "object: missing, expected a table of keys"),
+        (BOX.replace('shape = "rectangle"', ""), "object.shape: missing, expected one of rectangle, ellipse, hexagon"),
         (BOX + "[world]\nstop_lag_s = 0.1\n", "world: this table stands in a world's file, not in the object's"),
     ],
 )

@@ -105,8 +105,10 @@ def test_probes_that_say_nothing_never_make_a_surer_network(release, tmp_path):
     assert "negative log likelihood" in comparison.text(), "`nll` of the figures is of the direction alone"
 
 
-@pytest.mark.parametrize(("known_of", "surer"), [("probe", True), ("work", False)])
-def test_only_probes_make_a_network_surer(known_of, surer):
+@pytest.mark.parametrize(
+    ("stage", "known_of", "surer"), [("gain", "probe", True), ("gain", "work", False), ("calibration", "probe", False)]
+)
+def test_only_a_fit_to_probes_makes_a_network_surer(stage, known_of, surer):
     """An insertion by a network's own moves agrees with it, whatever its error was."""
     rng, count = np.random.default_rng(0), 60
     truth = rng.uniform(-12, 12, (count, 2))
@@ -114,11 +116,12 @@ def test_only_probes_make_a_network_surer(known_of, surer):
     logits = 9.0 * np.eye(9)[class_of(truth.astype(np.float32))]
     predictions = Predictions(logits, error, np.zeros((count, 2)), truth, np.full(count, known_of))
     before = Scales(1.2, 1.1, 1.0)
-    after = calibrated(before, predictions)
+    after = calibrated(stage, before, predictions)
     for name in ("temperature", "sigma_x", "sigma_theta"):
         assert (getattr(after, name) < getattr(before, name)) == surer
     wrong = replace(predictions, error=truth + rng.normal(0.0, 3.0, truth.shape))
-    assert min(calibrated(before, wrong).sigma_x, calibrated(before, wrong).sigma_theta) > 2.0
+    wider = calibrated(stage, before, wrong)
+    assert min(wider.sigma_x, wider.sigma_theta) > 2.0
 
 
 def test_a_cell_that_is_as_released_keeps_the_release_or_a_likelier_one(release, tmp_path):

@@ -45,6 +45,15 @@ def test_calibrated_intervals_cover_what_they_say_on_fresh_trials():
     assert table["ece"] < 0.03
 
 
+@pytest.mark.parametrize("count", [10, 20, 50])
+def test_intervals_calibrated_on_a_few_probes_hold_nine_tenths_of_further_errors(count):
+    held = [
+        figures(make(200, seed=seed + 1000).rescaled(make(count, seed=seed).calibration()))["coverage90_x"]
+        for seed in range(400)
+    ]
+    assert np.mean(held) == pytest.approx(0.905, abs=0.01)  # split conformal: 0.9 to 0.9 + 1 / (count + 1), on average
+
+
 def test_an_overconfident_network_has_a_large_calibration_error():
     predictions = make(temperature=4.0)
     labels = class_of(predictions.truth.astype(np.float32))
