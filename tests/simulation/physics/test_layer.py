@@ -127,6 +127,8 @@ def test_an_object_held_at_a_corner_keeps_its_equilibrium_while_it_is_pressed() 
         "rectangle",
         object__shape="polygon",
         object__vertices_mm=((30.0, -22.0), (30.0, 15.0), (0.0, 38.0), (-30.0, 15.0), (-30.0, -22.0)),
+        object__size_x_mm=60.0,
+        object__size_y_mm=60.0,
         object__mass_kg=0.12,
         blocks__gap_mm=64.0,
         gel__tier="layer",
