@@ -38,9 +38,8 @@ CHARTS = {
     "coverage": "how many 90 % intervals hold",
     "trials": "how many attempts an object takes",
 }
-MAY_GO_ON = frozenset(
-    {"attempts", "no_decision", "refused"}
-)  # a cycle may carry such a part away: who reads keeps clear
+MAY_GO_ON = frozenset({"attempts", "no_decision", "refused"})
+"""Causes after which a cycle may carry the part away and go on, so that who reads keeps clear."""
 SHORT_N = 6  # of the letters of a version's name
 TIMES = {1: "once", 2: "twice"}
 SURE = ((0.9, "very sure"), (0.7, "fairly sure"), (0.45, "unsure"), (0.0, "guessing"))
