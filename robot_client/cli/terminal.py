@@ -53,10 +53,14 @@ def rehearsed(heading: str, steps: list[str]) -> Outcome:
 
 
 def stop_on_signals() -> None:
-    """Ctrl-C, SIGTERM and a terminal hang-up (except under `nohup`) hold the arm and end the command in order."""
+    """Ctrl-C, SIGTERM and a terminal hang-up (except under `nohup`) hold the arm and end the command in order.
+
+    So do the signals that a cycle takes as orders: another command cannot pause, and their default is to kill it.
+    """
     task = asyncio.current_task()
     assert task is not None
     loop = asyncio.get_running_loop()
     hang_up = () if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN else (signal.SIGHUP,)
-    for number in (signal.SIGINT, signal.SIGTERM, *hang_up):
+    orders = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGRTMIN)
+    for number in (signal.SIGINT, signal.SIGTERM, *hang_up, *orders):
         loop.add_signal_handler(number, task.cancel)

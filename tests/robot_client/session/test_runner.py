@@ -275,3 +275,14 @@ def test_a_terminal_that_hangs_up_ends_the_insertion_in_order_but_under_nohup(ig
                 asyncio.run(wait())
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("order", [signal.SIGUSR1, signal.SIGUSR2, signal.SIGRTMIN])
+def test_an_order_that_only_a_cycle_takes_ends_another_command_in_order(order):
+    async def wait():
+        terminal.stop_on_signals()
+        os.kill(os.getpid(), order)
+        await asyncio.sleep(0.05)
+
+    with pytest.raises(asyncio.CancelledError):
+        asyncio.run(wait())
