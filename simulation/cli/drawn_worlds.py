@@ -126,12 +126,14 @@ class SealedOptions:
     """number of the test of this release; the first one counts"""
     count: int = 100
     """insertions per family, at most 500"""
-    beside: tuple[Literal["bristle", "layer", "older", "oracle"], ...] = ("bristle",)
-    """what else plays the first starts: tiers of our own physics; with finite elements, OLDER and an oracle"""
+    beside: tuple[Literal["bristle", "layer", "older", "recipe", "oracle"], ...] = ("bristle",)
+    """what else plays the first starts: our own tiers; in finite elements OLDER, PAPER_MODELS and an oracle"""
     beside_count: int = 0
     """insertions per family for each of these, a multiple of 5; 0 for all"""
     older: Path = Path("models")
     """folder of an earlier release"""
+    paper_models: Path = Path("models/paper")
+    """folder with the networks of the paper's recipe"""
     workers: Annotated[int, tyro.conf.arg(aliases=["-j"])] = 0
     """processes; 0 uses all cores"""
 
@@ -143,10 +145,12 @@ def sealed(arguments: list[str]) -> int:
         raise ValueError(f"--count {options.count}: expected 1 to {test.WORLDS * test.EACH}")
     if options.beside_count % test.EACH or options.beside_count < 0:
         raise ValueError(f"--beside-count {options.beside_count}: expected a multiple of {test.EACH}, or 0 for all")
-    if not list(options.models.glob("*.step.onnx")):
-        raise ValueError(f"--models {options.models}: no *.step.onnx there; expected the folder of a release")
+    others = _others(options)
+    networks = {"release": options.models, **{str(cell): others[cell] for cell in options.beside if cell in others}}
+    for name, folder in networks.items():
+        if not list(folder.glob("*.step.onnx")):
+            raise ValueError(f"{name}: {folder} has no *.step.onnx; expected the folder of a release")
     seal = test.seal(options.models, options.counter)
-    networks = {"release": options.models, **({"older": options.older} if "older" in options.beside else {})}
     campaign.claim(options.out, {**campaign.fingerprint(networks), "seal": seal})
     objects = drawn_objects(options.out, test.WORLDS, test.seed_of(seal, "objects"))
     begun = test.opened(seal, objects, options.count)
@@ -160,13 +164,18 @@ def sealed(arguments: list[str]) -> int:
     return 0
 
 
+def _others(options: SealedOptions) -> dict[str, Path]:
+    """The folders of networks that are not the release's, by the name of their comparison."""
+    return {"older": options.older, "recipe": options.paper_models}
+
+
 def _sealed_rows(options: SealedOptions, seal: str, begun: Sequence[test.Opened]) -> Iterator[tuple[str, list[Row]]]:
     """Rows of the release in the finite elements, then those of the comparisons, from the first of the same starts."""
     first = begun[: len(test.FAMILIES) * (options.beside_count or options.count)]
     for cell in (test.WITNESS, *options.beside):
         todo = test.tasks(
             seal,
-            options.older if cell == "older" else options.models,
+            _others(options).get(cell, options.models),
             begun if cell == test.WITNESS else first,
             cell,
         )

@@ -39,6 +39,7 @@ BESIDE: Mapping[str, Mapping[str, str]] = {
     "bristle": {},
     "layer": {},
     "older": FOREIGN,
+    "recipe": {**FOREIGN, "controller": "heuristic", "perception": "pictures"},
     "oracle": {**FOREIGN, "controller": "oracle"},
 }
 """The comparisons, and fields of their jobs: tiers of our own physics; in the elements other deciders."""

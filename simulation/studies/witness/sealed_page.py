@@ -104,9 +104,15 @@ _OTHERS = {
     "bristle": "the release in our bristle tier",
     "layer": "the release in our layer tier",
     "older": "in the elements, the release before",
+    "recipe": "in the elements, the paper's recipe, which reads pictures and decides by the paper's heuristic",
     "oracle": "in the elements, an oracle that moves by the true error",
 }
-_TITLES = {ALIKE: f"{WITNESS}, {ALIKE}", "older": f"{WITNESS}, release before", "oracle": f"{WITNESS}, oracle"}
+_TITLES = {
+    ALIKE: f"{WITNESS}, {ALIKE}",
+    "older": f"{WITNESS}, release before",
+    "recipe": f"{WITNESS}, the paper's recipe",
+    "oracle": f"{WITNESS}, oracle",
+}
 _FIGURES: tuple[Any, ...] = (
     ("cell", lambda row: _TITLES.get(row["cell"], row["cell"])),
     ("family", "family"),

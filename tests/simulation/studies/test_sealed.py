@@ -47,14 +47,17 @@ def test_the_page_begins_with_what_is_missed_and_lists_every_failure(release):
     begun = sealed.opened("seal", OBJECTS, 10)
     played = {
         cell: [row_of(task.job) for task in sealed.tasks("seal", release, first, cell)]
-        for cell, first in ((sealed.WITNESS, begun), ("bristle", begun), ("oracle", begun[:15]))
+        for cell, first in ((sealed.WITNESS, begun), ("bristle", begun), ("recipe", begun[:15]))
+    }
+    assert {(job["cell"], job["perception"], job["controller"]) for job in played["recipe"]} == {
+        ("foreign", "pictures", "heuristic")
     }
     rows = played[sealed.WITNESS]
     rows[3] |= {"inserted": False, "shortfalls": ("it is tilted by 2.55 deg, below 2 counts",)}
     rows[4] |= {"inserted": False, "claimed": False, "reason": "service: contradictory"}
     data = sealed.report_of(played, begun, {"seal": "seal", "counter": 1, "count": 10})
     by_cell = {row["cell"]: row["insertions"] for row in data["figures"] if row["family"] == "all"}
-    assert by_cell == {sealed.WITNESS: 30, sealed.ALIKE: 15, "bristle": 30, "oracle": 15}
+    assert by_cell == {sealed.WITNESS: 30, sealed.ALIKE: 15, "bristle": 30, "recipe": 15}
     assert {row["cell"] for row in data["figures"] if row["family"] != "all"} == {sealed.WITNESS}
     assert [row["reason"] for row in data["failed"]] == ["", "service: contradictory"]
     assert len(sealed.table_of(played, begun)) == 30 + 30 + 15
@@ -62,6 +65,7 @@ def test_the_page_begins_with_what_is_missed_and_lists_every_failure(release):
     assert text.index("**Missed:** 1 of 30 insertions ended in a false claim") < text.index("Reached")
     assert "claimed, but it is tilted by x deg, below 2 counts" in text
     assert "service: contradictory" in text
+    assert "| finite elements, the paper's recipe | all |" in text
 
 
 def row_of(job):
