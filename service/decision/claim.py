@@ -52,8 +52,10 @@ class GraspRecord:
         self.pressed_mm = max(self.pressed_mm, pressed_mm(attempt))
         late_mm = LATE_S * max(attempt.speed_mm_s or 0.0, went_mm_s(attempt))
         self.late_mm = math.hypot(self.late_mm, late_mm)
-        followed = late_mm + slid_mm(attempt) <= SLID_MM and self.late_mm <= ALL_LATE_MM
-        self.tilt.pressed(attempt.ring[-1] if attempt.ring and followed else None, touch_of(attempt))
+        on_mm = slid_mm(attempt)
+        followed = late_mm + on_mm <= SLID_MM and self.late_mm <= ALL_LATE_MM
+        slid_deg = math.degrees(on_mm / (0.5 * attempt.arm.gap_width_mm))  # about the edge of the other top
+        self.tilt.pressed(attempt.ring[-1] if attempt.ring and followed else None, touch_of(attempt), slid_deg)
 
     def begins(self, width_mm: float | None, unknown: str, *, tried: bool) -> None:
         """The first arming. ``unknown``: why it is not known how the object hangs, or "". ``tried``: before this."""

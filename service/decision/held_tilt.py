@@ -23,6 +23,7 @@ UPRIGHT_DEG = 2.0  # an object tilted by less counts as inserted
 SURE = 3.0  # standard deviations by which it has to stay below: 1 in 370 is outside
 PICKED_DEG = 0.5  # tilt of objects in the hand when they are picked up
 READ_DEG, READ_SHARE = 0.12, 0.5  # error of a turn read from the gels: always, and of the turn
+SLID_SHARE = 0.4  # and of the angle by which the arm went on after the gels had stopped following
 TOUCH_MM = 0.1  # error of the depth of a touch
 CREEP_MM, CREEP_SPREAD_MM = 0.05, 0.2  # an attempt pushes the object up in the hand by this
 SHOWS_DEG = 0.1  # a press that turns the object by less does not show on which side it touched
@@ -59,18 +60,20 @@ class HeldTilt:
     _mean: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     _spread: NDArray[np.float64] = field(default_factory=_anything)
     _pressed: PairObservation | None = None
+    _slid_deg: float = 0.0
 
     def held_at(self, tilt_deg: float, most_tilt_deg: float) -> "HeldTilt":
         """This object, with the tool tilted so far."""
         self.tilt_deg, self.most_tilt_deg = tilt_deg, most_tilt_deg
         return self
 
-    def pressed(self, both: PairObservation | None, touch: Touch | None = None) -> None:
+    def pressed(self, both: PairObservation | None, touch: Touch | None = None, slid_deg: float = 0.0) -> None:
         """An attempt was blocked, ``both`` its last pair; None if it does not show the object's turn.
 
-        ``touch``: where it touched; None if that is unknown or the tops are not known to be level.
+        ``touch``: where it touched; None if that is unknown or the tops are not known to be level. ``slid_deg``: the
+        angle by which the arm may have turned the object after the gels had stopped following it.
         """
-        self._pressed = both
+        self._pressed, self._slid_deg = both, slid_deg
         if both is None:
             self.unknown = UNSEEN
         elif touch is not None:
@@ -81,16 +84,19 @@ class HeldTilt:
         if self._pressed is None:
             return
         turned_deg, self._pressed = lasting_turn_deg(self._pressed, both), None
-        self.turned(turned_deg)
+        self.turned(turned_deg, self._slid_deg)
 
-    def turned(self, turned_deg: float) -> None:
-        """The gels show that an attempt has turned the object by that much; NaN if they do not show it."""
+    def turned(self, turned_deg: float, slid_deg: float = 0.0) -> None:
+        """The gels show that an attempt has turned the object by that much; NaN if they do not show it.
+
+        ``slid_deg``: as of :meth:`pressed`.
+        """
         if not math.isfinite(turned_deg):
             self.unknown = UNSEEN
             return
         self._mean += [CREEP_MM, turned_deg, 0.0]
         self._spread[_DEPTH, _DEPTH] += CREEP_SPREAD_MM**2
-        self._spread[_TILT, _TILT] += READ_DEG**2 + (READ_SHARE * turned_deg) ** 2
+        self._spread[_TILT, _TILT] += READ_DEG**2 + (READ_SHARE * turned_deg) ** 2 + (SLID_SHARE * slid_deg) ** 2
 
     @property
     def deg(self) -> float:
