@@ -253,7 +253,7 @@ down: $(OPS_VENV)/ready ## stop and remove the containers of CELL; recordings st
 	$(COMPOSE) $(COMPOSE_FILE_ARGS) --profile live --profile robot --profile sim --profile monitoring down
 
 verify-images: $(OPS_VENV)/ready bundle ## build images and bundle, run the loop in them, kill the service during an insertion, print sizes and times
-	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) -m tests.docker.verify_images --outside $(CURDIR)/$(RUN) --bundle "$$(ls $(CURDIR)/dist/*.tar)"
+	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) -m tests.docker.verify_images --outside $(CURDIR)/$(RUN) --bundle "$$(ls -t $(CURDIR)/dist/*.tar | head -n 1)"
 
 lint-ops: $(OPS_VENV)/ready ## check Dockerfiles, alert rules (needs promtool, amtool) and manifests
 	$(OPS_VENV)/bin/hadolint docker/*.Dockerfile

@@ -1,5 +1,6 @@
 """The light packages stay light: each is imported in a new interpreter, which then lists the loaded modules."""
 
+import os
 import subprocess
 import sys
 
@@ -24,6 +25,17 @@ LIGHT = {
     "simulation.cli.run": ("torch", "onnxruntime", "numba", "scipy", "fastapi"),  # `make demo` shows a picture soon
     "simulation.data.dataset": ("torch", "onnxruntime"),
 }
+
+
+@pytest.mark.parametrize("package", ["service.session.manager", "export.onnx.runtime"])
+def test_onnxruntime_reports_its_use_to_nobody(package, tmp_path):
+    """Where it does, it first keeps a name of the machine, and what it has not sent yet, in the user's home."""
+    mine = {
+        name: value for name, value in os.environ.items() if name not in {"ORT_DISABLE_TELEMETRY", "XDG_CACHE_HOME"}
+    }
+    command = [sys.executable, "-c", f"import {package}, onnxruntime"]
+    subprocess.run(command, env=mine | {"HOME": str(tmp_path)}, timeout=60, check=True)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("package", LIGHT)
