@@ -86,6 +86,16 @@ def test_a_bundle_holds_the_page_that_its_unit_points_to():
     archived = (DOCKER / "bundle.sh").read_text().replace("\\\n", " ")
     (given,) = re.findall(r"^git archive HEAD (.*?) \| tar", archived, re.MULTILINE)
     assert {pointed, "docs"} <= set(given.split())
+    assert {"docker/prometheus", "docker/grafana"} <= set(given.split())  # which docs/deployment.md names
+
+
+def test_what_watches_starts_with_the_machine_and_what_moves_does_not():
+    """At boot podman starts those that restart always, and no others; docker would start those unless stopped, too."""
+    started = yaml.safe_load((DOCKER / "compose.yaml").read_text())["services"]
+    moves = {"robot-client", "robot-client-sim", "cell"}
+    assert {name: one["restart"] for name, one in started.items()} == {
+        name: "no" if name in moves else "always" for name in started
+    }
 
 
 class _Answer(http.server.BaseHTTPRequestHandler):
