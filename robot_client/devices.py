@@ -11,6 +11,7 @@ A name with a dot is a user's own module, anywhere on Python's path.
 
 from importlib import import_module
 from types import ModuleType
+from typing import Any
 
 from robot_client.insertion.geometry import CellFrame
 from robot_client.insertion.limits import Limits
@@ -51,12 +52,20 @@ def _module(registry: dict[str, str], name: str) -> ModuleType:
 
 
 def make_arm(settings: DeviceSettings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:
-    """The arm for ``settings``, behind its port; nothing is connected yet."""
-    arm: Arm = _module(ROBOTS, settings.device).make(settings, limits, ramps, frame)
+    """The arm for ``settings``, behind its port, not connected yet; raises ValueError for one that lacks an order."""
+    arm: Arm = _made(ROBOTS, settings, limits, ramps, frame)
     return arm
 
 
 def make_gripper(settings: DeviceSettings) -> Gripper:
-    """The gripper for ``settings``, behind its port; nothing is connected yet."""
-    gripper: Gripper = _module(GRIPPERS, settings.device).make(settings)
+    """The gripper for ``settings``, behind its port, not connected yet; raises ValueError as above."""
+    gripper: Gripper = _made(GRIPPERS, settings)
     return gripper
+
+
+def _made(registry: dict[str, str], settings: DeviceSettings, *more: object) -> Any:
+    make = _module(registry, settings.device).make
+    try:
+        return make(settings, *more)
+    except TypeError as error:
+        raise ValueError(f"device: {settings.device!r} cannot be made: {error}") from error

@@ -1,8 +1,10 @@
 """The ports that an insertion needs. Orders return at once; their results arrive as events through ``post``.
 
-Each driver reports its own failures as a Failure event; nothing it does in the background may end silently.
+Each driver reports its own failures as a Failure event; nothing it does in the background may end silently. Drivers,
+service link and state machine share one event loop: an order that blocks keeps all of them from running.
 """
 
+from abc import abstractmethod
 from collections.abc import Awaitable, Callable
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 
@@ -68,13 +70,20 @@ class Signals(Protocol):
 
 
 class Arm(Protocol):
-    """A guided arm. After a failure it is latched: it holds and takes no more moves."""
+    """A guided arm. After a failure it is latched: it holds and takes no more moves.
 
+    Its controller stops it, too, once this process is silent: on a PC without power no driver runs.
+    """
+
+    @abstractmethod
     async def start(self, post: Post) -> WorkPose:
         """Connect, start guidance, and return the TCP's pose; raises DriverError."""
 
+    @abstractmethod
     def move(self, target: WorkPose, motion: Motion, until_s: float | None = None, legs: tuple[Leg, ...] = ()) -> None:
-        """Begin a straight move; Arrived follows. Raises LimitError if it is not allowed.
+        """Begin a straight move; Arrived follows, at the target. Raises LimitError if it is not allowed.
+
+        A move that ends elsewhere (:func:`check_arrived`) is a failure.
 
         ``legs``: of a descent with several speeds; an arm that does not support them refuses it.
 
@@ -83,18 +92,26 @@ class Arm(Protocol):
         reports a failure ``unwatched``; at once if the arm cannot stop and go on (:attr:`DeviceSettings.pauses`).
         """
 
+    @abstractmethod
     def renew(self, until_s: float) -> None:
         """Let the descent under way go on until then."""
 
+    @abstractmethod
     def hold(self, reason: str, *, stop: bool) -> None:
-        """Freeze the target before returning; Standstill follows. ``stop``: end the controller's program, too."""
+        """Freeze the target before returning; Standstill follows. ``stop``: end the controller's program, too.
 
+        Allowed at any time; before :meth:`start` it does nothing.
+        """
+
+    @abstractmethod
     async def close(self) -> str:
         """Stop the program, wait until the controller confirms, release everything; returns how it ended.
 
-        Allowed before :meth:`start`, when there is nothing to stop.
+        The text begins with NOT_CONFIRMED if it does not; half a minute without an end counts as that, too. Allowed
+        before :meth:`start`, when there is nothing to stop.
         """
 
+    @abstractmethod
     def position(self) -> WorkPose | None:
         """The last measured pose."""
 
@@ -102,6 +119,7 @@ class Arm(Protocol):
         """The pose presently commanded, None if unknown."""
         return None
 
+    @abstractmethod
     def statistics(self) -> dict[str, Any]:
         """Figures of the link for the report (cycles, gaps, stop latency)."""
 
@@ -115,19 +133,22 @@ class Arm(Protocol):
 
 
 class Gripper(Protocol):
-    """A gripper that holds the object during the whole insertion."""
+    """A gripper that holds the object during the whole insertion, and also without this process."""
 
     @property
     def held(self) -> bool:
         """Whether it holds something, as far as it reports; valid after :meth:`start`."""
         return False
 
+    @abstractmethod
     async def start(self, post: Post) -> None:
         """Connect and watch the grasp from now on; raises DriverError. Width follows when the fingers move."""
 
+    @abstractmethod
     def grasp(self) -> None:
-        """Make sure the object is held; Grasped follows."""
+        """Make sure the object is held; Grasped follows once it is, or a failure."""
 
+    @abstractmethod
     async def close(self) -> None:
         """Leave the fingers in place and release the connection."""
 
@@ -135,6 +156,7 @@ class Gripper(Protocol):
         """The checks of a gripper that is not started, by the names printed with their findings."""
         return {}
 
+    @abstractmethod
     async def connect(self) -> None:
         """Connect for an operator's command, moving nothing; raises DriverError."""
 

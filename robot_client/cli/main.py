@@ -21,6 +21,7 @@ from robot_client.cli.home import home
 from robot_client.cli.insert import insert, make_plan, with_commissioning
 from robot_client.cli.jog import jog
 from robot_client.cli.terminal import Outcome, show
+from robot_client.cli.trial import Subject, try_device
 from robot_client.insertion.geometry import WorkPose
 from robot_client.ports import NOT_CONFIRMED, DriverError, HomingDirection
 from robot_client.session.replay import ReplayError, replay
@@ -97,6 +98,8 @@ def _parser() -> argparse.ArgumentParser:
     for name, unit in (("x", "mm"), ("y", "mm"), ("z", "mm"), ("theta", "deg")):
         text = "required" if name == "z" else "default 0"
         jogging.add_argument(f"--{name}-{unit}", type=_number, default=0.0, required=name == "z", help=text)
+    trying = add("try", "show whether a device's driver keeps the promises of its port", _connection, _mode)
+    trying.add_argument("subject", choices=get_args(Subject), help="arm, empty gripper, or gripper with a part")
     log = add("replay", "play an episode log through today's state machine and compare")
     log.add_argument("path", type=Path, help="episode log (JSON lines)")
     return parser
@@ -165,14 +168,20 @@ def _replayed(path: Path) -> Outcome:
     return Outcome(True, {"phase": str(state.phase), "attempts": state.attempt, "reason": state.reason})
 
 
-def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
+def _on_devices(args: argparse.Namespace, settings: Settings) -> Outcome:
     if args.command == "check":
         return check(settings)
     if args.command == "home":
         return home(settings, acknowledge=args.acknowledge, direction=args.direction, live=args.live)
-    if args.command == "jog":
-        target = WorkPose(x_mm=args.x_mm, y_mm=args.y_mm, z_mm=args.z_mm, yaw_deg=args.theta_deg)
-        return jog(settings, target, live=args.live)
+    if args.command == "try":
+        return try_device(settings, args.subject, live=args.live)
+    target = WorkPose(x_mm=args.x_mm, y_mm=args.y_mm, z_mm=args.z_mm, yaw_deg=args.theta_deg)
+    return jog(settings, target, live=args.live)
+
+
+def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
+    if args.command in ("check", "home", "jog", "try"):
+        return _on_devices(args, settings)
     if args.command == "commission":
         if args.probes < 0:
             raise ValueError(f"--probes {args.probes}: expected 0 or more")

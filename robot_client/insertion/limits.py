@@ -60,6 +60,7 @@ class Limits(Contract):
         return low + (high - low) / 2.0
 
 
+ARRIVED_MM = ARRIVED_DEG = 1.0  # further from its target an arm has not done its move, whatever it answers
 _TOLERANCE = 1.0 + 1e-6
 _INACCURACY = 0.1  # mm or deg by which an arm that was sent to the edge of the box may stand beyond it
 
@@ -79,6 +80,16 @@ def check_pose(limits: Limits, pose: WorkPose, name: str = "target", here: WorkP
     if not abs(pose.tilt_deg) <= limits.max_tilt_deg:
         raise LimitError(f"{name} tilt_deg = {pose.tilt_deg:.3f}, allowed up to {limits.max_tilt_deg:g} either way")
     return pose
+
+
+def check_arrived(target: WorkPose, pose: WorkPose) -> None:
+    """Raise LimitError if a move did not lead to its target: the next one would begin elsewhere, perhaps low down."""
+    away_mm, away_deg = target.distance_mm(pose), target.turn_deg(pose)
+    if not (away_mm <= ARRIVED_MM and away_deg <= ARRIVED_DEG):
+        allowed = f"allowed {ARRIVED_MM:g} and {ARRIVED_DEG:g}"
+        raise LimitError(
+            f"the arm ended its move {away_mm:.2f} mm and {away_deg:.2f} deg away from its target, {allowed}"
+        )
 
 
 def _widened(low: float, high: float, here: float) -> tuple[float, float]:

@@ -8,8 +8,22 @@ from collections.abc import Coroutine
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from robot_client.insertion.events import Begin, Command, Event, Failure, Grasp, Hold, Move, Renew, Send, Tick
-from robot_client.insertion.limits import LimitError
+from robot_client.insertion.events import (
+    Arrived,
+    Begin,
+    Command,
+    Event,
+    Failure,
+    Grasp,
+    Hold,
+    Move,
+    Renew,
+    Send,
+    Source,
+    Tick,
+)
+from robot_client.insertion.geometry import WorkPose
+from robot_client.insertion.limits import LimitError, check_arrived
 from robot_client.insertion.machine import step
 from robot_client.insertion.state import Phase, Plan, State
 from robot_client.ports import NOT_CONFIRMED, Arm, DecisionService, DriverError, Gripper
@@ -18,6 +32,8 @@ from robot_client.session.telemetry import Telemetry
 from service.contract import wire
 
 _TICK_S = 0.02
+_PORTS: dict[str, Source] = {"grasp": "gripper", "say": "service"}  # to which an order goes, if not to the arm
+CLOSING_S = 30.0  # a port that has not closed by then is left as it is
 
 
 class Observer(Protocol):
@@ -54,6 +70,15 @@ def was_cancelled() -> bool:
     return task is not None and task.cancelling() > 0
 
 
+async def farewell_of(arm: Arm) -> str:
+    """How an arm's :meth:`Arm.close` ended; a driver that breaks, hangs or says nothing has confirmed nothing."""
+    try:
+        farewell = await asyncio.wait_for(arm.close(), CLOSING_S)
+    except Exception as error:
+        return f"{NOT_CONFIRMED} ({type(error).__name__} {error}): use the stop button"
+    return farewell or f"{NOT_CONFIRMED} (its driver says nothing): use the stop button"
+
+
 @dataclass(slots=True)
 class Runner:
     """Runs one insertion to its end. Events are handled in order of arrival, commands at once, on one event loop."""
@@ -68,6 +93,7 @@ class Runner:
     farewell: str = ""
     _events: deque[Event] = field(default_factory=deque)
     _handling: bool = False
+    _target: WorkPose | None = None  # of the move under way
     _done: asyncio.Event = field(default_factory=asyncio.Event)
     _telemetry: Telemetry = field(init=False)
 
@@ -122,11 +148,17 @@ class Runner:
     def post(self, event: Event) -> None:
         """Handle an event now, or right after the one being handled. Called by the drivers on the event loop.
 
-        One from the future bears another clock's time, after which no deadline would come: it fails.
+        One from the future bears another clock's time, after which no deadline would come: it fails. So does an arrival
+        elsewhere than at the target.
         """
         if event.at_s > (now_s := time.monotonic()):
             detail = f"{event.kind} at {event.at_s:.3f} s, expected at most {now_s:.3f} s, of time.monotonic()"
             event = Failure(at_s=now_s, source="client", code="clock", detail=detail)
+        elif isinstance(event, Arrived) and self._target is not None:
+            try:
+                check_arrived(self._target, event.pose)
+            except LimitError as error:
+                event = Failure(at_s=now_s, source="arm", code="tracking", detail=str(error))
         self._events.append(event)
         if self._handling:
             return
@@ -156,8 +188,10 @@ class Runner:
         try:
             match command:
                 case Hold():
+                    self._target = None
                     self.arm.hold(command.reason, stop=command.stop)
                 case Move():
+                    self._target = command.target
                     legs = (command.legs,) if command.legs else ()  # an arm with one speed need not support them
                     self.arm.move(command.target, command.motion, command.until_s, *legs)
                 case Renew():
@@ -168,6 +202,10 @@ class Runner:
                     self._send(command.message)
         except LimitError as error:
             self._events.append(Failure(at_s=time.monotonic(), source="limits", code="move", detail=str(error)))
+        except Exception as error:  # of the driver that got the order, not of the one whose event led to it
+            source: Source = _PORTS.get(command.kind, "arm")
+            detail = f"order {command.kind}: {type(error).__name__}: {error}"
+            self._events.append(Failure(at_s=time.monotonic(), source=source, code="internal", detail=detail))
 
     def _send(self, message: wire.ClientMessage) -> None:
         """Send a message, between the robot's past motion and its next one."""
@@ -179,13 +217,10 @@ class Runner:
 
     async def _close(self) -> None:
         """The arm first: its program is stopped even if another port hangs."""
-        try:
-            self.farewell = await self.arm.close()
-        except Exception as error:
-            self.farewell = f"{NOT_CONFIRMED} ({type(error).__name__} {error}): use the stop button"
+        self.farewell = await farewell_of(self.arm)
         for port in (self.service, self.gripper):
             with contextlib.suppress(Exception):
-                await port.close()
+                await asyncio.wait_for(port.close(), CLOSING_S)
         self.recorder.end(self.summary())
 
     def summary(self) -> dict[str, Any]:

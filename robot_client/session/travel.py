@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from robot_client.insertion.events import Arrived, Event, Failure
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.limits import Limits, Motion, check_pose
+from robot_client.insertion.limits import LimitError, Limits, Motion, check_arrived, check_pose
 from robot_client.insertion.motion import Ramps, check_ramps
 from robot_client.ports import NOT_CONFIRMED, Arm, DriverError, Gripper
-from robot_client.session.runner import to_the_end, was_cancelled
+from robot_client.session.runner import farewell_of, to_the_end, was_cancelled
 
 Way = Callable[[WorkPose], Sequence[tuple[WorkPose, Motion]]]
 """The corners from the arm's present pose, and the motion to each."""
@@ -69,7 +69,9 @@ class Errands:
                 event = await asyncio.wait_for(events.get(), wait_s)
                 if isinstance(event, Failure):
                     raise DriverError(f"{event.source}: {event.code}: {event.detail}")
-                assert isinstance(event, Arrived)
+                if not isinstance(event, Arrived):
+                    raise DriverError(f"robot: answered a move with {event.kind}, expected arrived")
+                _check_arrived(corner, event.pose)
                 here = event.pose
             if was_cancelled():
                 raise asyncio.CancelledError
@@ -100,8 +102,15 @@ class Errands:
             await to_the_end(gripper.close(), interrupted=interrupted)
 
 
+def _check_arrived(target: WorkPose, pose: WorkPose) -> None:
+    try:
+        check_arrived(target, pose)
+    except LimitError as error:
+        raise DriverError(f"robot: {error}") from None
+
+
 async def _end(arm: Arm, show: Callable[[str], None]) -> None:
-    farewell = await arm.close()
+    farewell = await farewell_of(arm)
     show(farewell)
     if farewell.startswith(NOT_CONFIRMED):
         raise DriverError(f"robot: {farewell}")

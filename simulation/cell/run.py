@@ -22,6 +22,7 @@ from simulation.cell.config import client_config
 from simulation.cell.emulators.net import HOST, free_port
 from simulation.cell.options import draw_start
 from simulation.cell.run_report import Result
+from simulation.scene.scene import Scene
 from simulation.scene.worlds import load_scene, load_world
 
 CELL_READY_S = 300.0  # the first start on a machine compiles the physics
@@ -75,16 +76,19 @@ class Start:
     seed: int
 
 
+def scene_of(options: RunOptions) -> Scene:
+    """The object in its world; raises SceneError."""
+    scene = load_scene(options.object)
+    return load_world(options.world).around(scene) if options.world else scene
+
+
 def start_of(options: RunOptions) -> Start:
     """The insertion to do; raises SceneError or RunError before anything starts."""
     if not options.timeout_s > 0:
         raise RunError(f"--timeout-s {options.timeout_s}: expected more than 0")
     if not options.models.is_dir():
         raise RunError(f"--models {options.models}: no such folder; it holds the .onnx files of the service")
-    scene = load_scene(options.object)
-    if options.world:
-        scene = load_world(options.world).around(scene)
-    x_mm, theta_deg = draw_start(scene, options.seed)
+    x_mm, theta_deg = draw_start(scene_of(options), options.seed)
     x_mm = x_mm if options.x_mm is None else options.x_mm
     theta_deg = theta_deg if options.theta_deg is None else options.theta_deg
     return Start(options.object, x_mm, theta_deg, options.seed)

@@ -15,9 +15,8 @@ from simulation.cell import film, run_report
 from simulation.cell.children import ChildError, terminate_as_interrupt
 from simulation.cell.demo import DemoOptions, lines
 from simulation.cell.options import warn_of_keys_without_effect
-from simulation.cell.run import RunOptions, Start, insert, start_of
+from simulation.cell.run import RunOptions, Start, insert, scene_of, start_of
 from simulation.cell.run_report import Result
-from simulation.scene.worlds import load_scene
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ def _insert(start: Start, options: RunOptions) -> Result:
     result = insert(start, options, folder)
     recording = run_report.telling_recording(folder / "recordings")
     drawn = run_report.draw_last_attempt(recording, folder / "last_attempt.png", result) if recording else None
-    filmed = film.draw(folder / "cell" / "course.npz", folder / "insertion.gif", load_scene(start.object).sensor)
+    filmed = film.draw(folder / "cell" / "course.npz", folder / "insertion.gif", scene_of(options).sensor)
     (folder / "result.json").write_text(result.as_json() + "\n")
     lines = map(fitted, run_report.screen(result, recording, drawn, folder, filmed))
     print("", *lines, "", sep="\n", flush=True)

@@ -196,6 +196,14 @@ def test_a_module_that_is_no_device_is_refused_by_the_rehearsal(config, capsys, 
     assert expect in capsys.readouterr().err
 
 
+def test_a_driver_that_lacks_an_order_is_refused_by_name(config, capsys):
+    """A misspelt one would do nothing, silently."""
+    driver = config.parent / "claw" / "driver.py"
+    driver.write_text(GRIPPER.replace("def grasp(self)", "def grip(self)"))
+    assert main(["check", "--config", str(config)]) == 2
+    assert "error: device: 'claw' cannot be made: Can't instantiate abstract class Claw" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("toml", "expect"),
     [

@@ -15,7 +15,7 @@ from typing import Any, Literal
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from robot_client.insertion.lease import check_leased
-from robot_client.insertion.limits import Leg, LimitError, Limits, Motion, check_pose
+from robot_client.insertion.limits import Leg, LimitError, Limits, Motion, check_arrived, check_pose
 from robot_client.insertion.motion import Ramps
 from robot_client.ports import Arm, Check, DriverError, Finding, Post, Signals
 from robot_client.robots.abb_rapid import codec
@@ -26,7 +26,6 @@ from robot_client.silence import Silence
 
 _LEASE_CHECK_S = 0.005
 _STILL_MM, _STILL_DEG, _STILL_S = 0.03, 0.05, 0.15  # the guard answers with 0.01 mm
-_ARRIVED_MM = _ARRIVED_DEG = 1.0  # further from its target an arm has not done its move, whatever is answered
 
 
 @dataclass(slots=True)
@@ -263,12 +262,11 @@ class SocketArm:
         return now_s - since_s >= _STILL_S
 
     def _check_arrived(self, here: WorkPose) -> None:
-        """Fail if the move did not lead to its target: the next one would begin elsewhere, perhaps between blocks."""
         assert self._target is not None
-        away_mm, away_deg = self._target.distance_mm(here), self._target.turn_deg(here)
-        if not (away_mm <= _ARRIVED_MM and away_deg <= _ARRIVED_DEG):
-            away, allowed = f"{away_mm:.2f} mm and {away_deg:.2f} deg", f"allowed {_ARRIVED_MM:g} and {_ARRIVED_DEG:g}"
-            self._fail("tracking", f"the arm ended its move {away} away from its target, {allowed}")
+        try:
+            check_arrived(self._target, here)
+        except LimitError as error:
+            self._fail("tracking", str(error))
 
     def _report(self, event: Arrived | Standstill) -> None:
         if self._post is not None and not self._latched:

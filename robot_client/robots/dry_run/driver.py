@@ -37,9 +37,11 @@ class DryArm(Arm):
     _task: asyncio.Task[None] | None = None
     _cycles: int = 0
 
+    def __post_init__(self) -> None:
+        self._guide = MotionGuide(self.limits, self.ramps, self.settings.start)
+
     async def start(self, post: Post) -> WorkPose:
         self._post = post
-        self._guide = MotionGuide(self.limits, self.ramps, self.settings.start)
         self._task = asyncio.get_running_loop().create_task(self._run())
         return self.settings.start
 

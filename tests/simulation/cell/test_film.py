@@ -3,16 +3,21 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from simulation.cell.film import MOST_N, Course, draw
+from simulation.cell.run import RunOptions, scene_of
 from simulation.cell.world import Exposure
 from simulation.data.probe import QuasiStaticCell
 from simulation.scene.worlds import load_scene
 
 
-def test_a_descent_becomes_a_film(tmp_path):
-    scene = load_scene("rectangle")
+@pytest.mark.parametrize("sensor", ["gelslim_2019", "gelsight_mini"])
+def test_a_descent_becomes_a_film(tmp_path, sensor):
+    world = tmp_path / "world.toml"
+    world.write_text(f'[camera]\nsensor = "{sensor}"\n')
+    scene = scene_of(RunOptions(world=str(world)))
     cell = QuasiStaticCell(scene, seed=0)
     cell.regrasp(8.0, 6.0)
     x, y, z, yaw = (float(value) for value in cell.pose)

@@ -1,0 +1,53 @@
+"""`try`: shows whether a device's driver keeps the promises of its port; only printed without --live."""
+
+import asyncio
+from typing import Literal
+
+from robot_client.cli.terminal import Outcome, rehearsed, show, show_steps, stop_on_signals, warning
+from robot_client.ports import DriverError, Finding
+from robot_client.session.trial.arm import UP_MM, ArmTrial
+from robot_client.session.trial.gripper import try_empty, try_part
+from robot_client.settings import Settings
+
+Subject = Literal["arm", "gripper", "part"]
+_STEPS = {
+    "arm": [
+        f"go up by {UP_MM:g} mm from where it stands, with no watch for touch",
+        "descend, and hold on the way",
+        "descend again, and let the lease end: a failure",
+    ],
+    "gripper": ["close the open, empty fingers twice, and open them again"],
+    "part": ["close the open fingers on the part between them", "leave it alone, and come back", "wait for its loss"],
+}
+
+
+def try_device(settings: Settings, subject: Subject, *, live: bool) -> Outcome:
+    """Done if every promise is kept; raises DriverError if the device cannot be made ready."""
+    show(warning(live=live, simulated=settings.simulated))
+    if not live:
+        return rehearsed("would:", _STEPS[subject])
+    show_steps("will:", _STEPS[subject])
+    return asyncio.run(_try(settings, subject))
+
+
+async def _try(settings: Settings, subject: Subject) -> Outcome:
+    findings: list[Finding] = []
+
+    def note(finding: Finding) -> None:
+        findings.append(finding)
+        show(f"{'ok  ' if finding.good else 'BAD '} {finding.text}")
+
+    stop_on_signals()
+    try:
+        if subject == "arm":
+            limits, ramps, lease, timeouts = settings.limits, settings.ramps, settings.lease, settings.timeouts
+            await ArmTrial(settings.make_arm(), limits, ramps, lease, timeouts).run(note)
+        elif subject == "gripper":
+            await try_empty(settings.make_gripper, settings.timeouts.grasping_s, note)
+        else:
+            await try_part(settings.make_gripper, settings.timeouts.grasping_s, note, show)
+    except asyncio.CancelledError:
+        raise DriverError("operator: interrupted") from None
+    kept = all(finding.good for finding in findings)
+    show("every promise was kept" if kept else "NOT every promise was kept")
+    return Outcome(kept, {"kept": kept, "findings": [finding._asdict() for finding in findings]})
