@@ -74,6 +74,8 @@ async def farewell_of(arm: Arm) -> str:
     """How an arm's :meth:`Arm.close` ended; a driver that breaks, hangs or says nothing has confirmed nothing."""
     try:
         farewell = await asyncio.wait_for(arm.close(), CLOSING_S)
+    except TimeoutError:
+        return f"{NOT_CONFIRMED} (its driver has not closed within {CLOSING_S:g} s): use the stop button"
     except Exception as error:
         return f"{NOT_CONFIRMED} ({type(error).__name__} {error}): use the stop button"
     return farewell or f"{NOT_CONFIRMED} (its driver says nothing): use the stop button"

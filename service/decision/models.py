@@ -146,7 +146,7 @@ def load_model(path: Path) -> LoadedModel:
     except ContractError as error:
         raise ModelError(str(error)) from error
     except Exception as error:
-        why = str(error).partition("\n")[0]
+        why = " ".join(str(error).split())  # the numbers are in its later lines
         raise ModelError(f"{path} does not run as its card says: {why}") from error
     return model
 

@@ -1,8 +1,13 @@
 import sys
+from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from export.cli.commands import main
+from export.onnx.verify import _bounded
+from service.contract import ContractError
 
 
 @pytest.mark.parametrize(
@@ -27,3 +32,10 @@ def test_an_export_without_a_folder_replaces_no_network(tmp_path, monkeypatch, c
         main()
     assert "--out" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("value", "named"), [(-2e4, "2e+04"), (np.nan, "nan")])
+def test_an_output_that_is_too_large_is_refused_with_its_size_and_the_bound(value, named):
+    with pytest.raises(ContractError) as refused:
+        _bounded(SimpleNamespace(file=Path("a.onnx")), "noise", {"logits": np.array([0.0, value])})
+    assert str(refused.value) == f"a.onnx: logits reaches {named} on the hard input 'noise', allowed 10000 and finite"
