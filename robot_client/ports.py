@@ -28,7 +28,8 @@ class DeviceSettings(Contract):
     """The table of a device in the configuration; ``device`` names its line in :mod:`robot_client.devices`.
 
     ``variables``: environment variables that replace keys of the table, each with the path to its key. ``pauses``, of
-    an arm: its driver can let a descent stop and go on (:meth:`Arm.move`). ``hosts``: those that it is reached at.
+    an arm: its driver can let a descent stop and go on (:meth:`Arm.move`). ``hosts``: those that it is reached at; None
+    if it does not say, and then it belongs to no simulated cell.
     """
 
     variables: ClassVar[dict[str, tuple[str, ...]]] = {}
@@ -41,8 +42,8 @@ class DeviceSettings(Contract):
         return self.device
 
     @property
-    def hosts(self) -> tuple[str, ...]:
-        return ()
+    def hosts(self) -> tuple[str, ...] | None:
+        return None
 
 
 class Finding(NamedTuple):

@@ -130,6 +130,11 @@ def load_settings(path: Path | None, overrides: dict[str, Any] | None = None) ->
 def _check_simulated(chosen: dict[str, DeviceSettings], source: str) -> None:
     """Raise SettingsError for a device elsewhere: a real arm would move without a commissioning and a warning."""
     for key, device in chosen.items():
+        if device.hosts is None:
+            raise SettingsError(
+                f"{source}: simulated = true, but Settings of {device.device!r} have no hosts: nothing shows that the"
+                f" {key} is on this machine; remove the line for a real one"
+            )
         for host in device.hosts:
             if not is_loopback(host):
                 raise SettingsError(

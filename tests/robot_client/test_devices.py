@@ -281,3 +281,14 @@ def test_a_cell_whose_devices_are_elsewhere_is_not_a_simulated_one(named, robot,
     with pytest.raises(SettingsError, match=f"simulated = true, but the {named}: .* remove the line"):
         load_settings(None, {"simulated": True, **tables})
     assert not load_settings(None, tables).simulated
+
+
+def test_a_device_of_ones_own_is_in_a_simulated_cell_only_if_it_says_where_it_is(config):
+    config.write_text("simulated = true\n" + CONFIG)
+    with pytest.raises(SettingsError, match="simulated = true, but Settings of 'crane' have no hosts"):
+        load_settings(config)
+    here = "\n    @property\n    def hosts(self):\n        return ('127.0.0.1',)\n\nclass C"
+    for name, driver in (("claw", GRIPPER), ("crane", ARM)):
+        (config.parent / name / "driver.py").write_text(driver.replace("\nclass C", here, 1))
+        sys.modules.pop(f"{name}.driver", None)
+    assert load_settings(config).simulated

@@ -15,6 +15,10 @@ class Settings(DeviceSettings):
     device: Literal["dry_run"] = "dry_run"
     width_mm: float = 50.0  # while it holds
 
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        return ()
+
 
 @dataclass(slots=True)
 class DryGripper(Gripper):

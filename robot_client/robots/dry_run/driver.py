@@ -23,6 +23,10 @@ class Settings(DeviceSettings):
     device: Literal["dry_run"] = "dry_run"
     start: WorkPose = WorkPose(x_mm=0.0, y_mm=0.0, z_mm=75.0, yaw_deg=0.0)
 
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        return ()
+
 
 @dataclass(slots=True)
 class DryArm(Arm):
