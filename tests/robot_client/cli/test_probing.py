@@ -6,10 +6,11 @@ from types import SimpleNamespace
 import pytest
 
 from robot_client.cli.commission import Probing
+from robot_client.grippers.dry_run.driver import DryGripper
 from robot_client.insertion.events import Standstill
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.state import State
-from robot_client.ports import DriverError, Gripper
+from robot_client.ports import DriverError
 from robot_client.robots.dry_run.driver import DryArm
 from robot_client.robots.dry_run.driver import Settings as DryRun
 from robot_client.session.cycle import CycleSettings
@@ -21,7 +22,7 @@ from tests.robot_client.insertion.stories import APPROACH, ID, PLAN, TO_DESCENT,
 REAL = Settings(cycle=CycleSettings(pick=WorkPose(x_mm=-20.0, y_mm=5.0, z_mm=45.0, yaw_deg=0.0), open_mm=80.0))
 
 
-class Fingers(Gripper):
+class Fingers(DryGripper):
     """Fingers at some width, empty or not."""
 
     def __init__(self, width_mm, empty=True):
