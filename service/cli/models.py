@@ -43,7 +43,8 @@ def _trained(card: ModelCard) -> str:
     """The figures, or why the network is not to be trusted."""
     if why := card.training_run.get(UNTRAINED):
         return f"UNTRAINED: {why}"
-    figures = ", ".join(f"{name} {value:.3g}" for name, value in card.validation.items()) or "no figures"
+    shown = {name: f"{value:,.0f}" if value >= 1000 else f"{value:.3g}" for name, value in card.validation.items()}
+    figures = ", ".join(f"{name} {value}" for name, value in shown.items()) or "no figures"
     return f"{figures} ({'recordings of its cell' if card.training_run.get('adapted') else 'simulated'})"
 
 
@@ -57,6 +58,10 @@ def _input(card: ModelCard) -> str:
     return f"frame pairs, {card.frame.width_px} x {card.frame.height_px} {card.frame.colour}"
 
 
+def _precision(card: ModelCard) -> str:
+    return "not quantised" if card.quantisation == "none" else f"{card.quantisation} quantisation"
+
+
 def describe(model: LoadedModel, *, decides: bool) -> list[str]:
     """A few lines about one file: its role, inputs, origin and figures."""
     card = model.card
@@ -64,7 +69,7 @@ def describe(model: LoadedModel, *, decides: bool) -> list[str]:
     return [
         f"{model.path.name}: {card.name}, {card.role}, {card.form} form, {size_mb:.2f} MB"
         + (", decides" if decides else ""),
-        f"  takes       {card.frames_per_decision} {_input(card)}, {card.quantisation} quantisation",
+        f"  takes       {card.frames_per_decision} {_input(card)}, {_precision(card)}",
         f"  calibrated  temperature {card.calibration.temperature:.3g}, refuses below {card.min_confidence:.0%}",
         f"  validation  {_trained(card)}",
         f"  from        commit {card.git_commit[:12]}, data {card.training_data_sha256[:12]}{_seed(card.training_run)}",

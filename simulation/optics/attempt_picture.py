@@ -94,18 +94,20 @@ def imprint(
 
 
 def _differences(figure: Any, frames: NDArray[np.uint8]) -> None:
-    """One row per finger: each frame minus the first; grey is no change."""
-    shown = frames if len(frames) <= 8 else frames[np.linspace(0, len(frames) - 1, 8).round().astype(int)]
+    """One row per finger: later frames, at most 8, minus the first; grey is no change. Nothing for a single frame."""
+    last = len(frames) - 1
+    if not last:
+        return
+    shown = np.linspace(1, last, min(last, 8)).round().astype(int)
     grid = figure.subplots(2, len(shown), squeeze=False)
     for finger in range(2):
-        for k, frame in enumerate(shown):
-            change = frame[finger].astype(np.int16) - shown[0, finger]
-            axes = grid[finger, k]
+        for axes, number in zip(grid[finger], shown, strict=True):
+            change = frames[number, finger].astype(np.int16) - frames[0, finger]
             axes.imshow(np.clip(128 + 2 * change, 0, 255).astype(np.uint8)[..., ::-1])
             axes.set_xticks([])
             axes.set_yticks([])
             if finger == 0:
-                axes.set_title(f"frame {k + 1} - frame 1" if k else "frame 1", fontsize=8)
+                axes.set_title(f"frame {number + 1} - frame 1", fontsize=8)
         grid[finger, 0].set_ylabel(("left", "right")[finger], fontsize=8)
 
 
@@ -139,11 +141,15 @@ def fact_lines(decision: Decision) -> list[str]:
         lines.append(_pair("estimate", decision["estimate"]))
     if "interval" in decision:
         (x_low, x_high), (theta_low, theta_high) = decision["interval"]
-        lines.append(f"{'90 %':<11} {x_low:+.1f}..{x_high:+.1f} mm  {theta_low:+.1f}..{theta_high:+.1f} deg")
+        lines.append(_columns("90 %", f"{x_low:+.1f}..{x_high:+.1f}", f"{theta_low:+.1f}..{theta_high:+.1f}"))
     if "correction" in decision:
         lines.append(_pair("correction", decision["correction"]))
     return [*lines, *decision.get("notes", ())]
 
 
 def _pair(what: str, values: tuple[float, float]) -> str:
-    return f"{what:<11} {values[0]:+7.2f} mm  {values[1]:+7.2f} deg"
+    return _columns(what, f"{values[0]:+.2f}", f"{values[1]:+.2f}")
+
+
+def _columns(what: str, x_mm: str, theta_deg: str) -> str:
+    return f"{what:<10} {x_mm:>12} mm {theta_deg:>12} deg"

@@ -83,7 +83,10 @@ def draw(rows: list[Row], path: Path) -> None:
             line[0].set_ylabel(f"markers against the {reference} tier, um RMS")
             for panel, scene in zip(line, scenes, strict=True):
                 _panel(panel, [row for row in rows if row["scene"] == scene], kind)
-                panel.set(title=scene, xlabel="CPU time of a poke, ms", xscale="log", yscale="log")
+                panel.set(xscale="log", yscale="log")
+        for above, below, scene in zip(*panels, scenes, strict=True):
+            above.set_title(scene)
+            below.set_xlabel("CPU time of a poke, ms")
         panels[0, 0].legend()
 
 

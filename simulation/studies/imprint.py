@@ -15,12 +15,12 @@ from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.worlds import load_scene
 
-COLUMNS = ("raw, held", "raw, after the collision", "rectified, after", "difference", "motion of the dots")
+COLUMNS = ("raw, held", "raw, after the collision", "rectified, after", "difference", "motion")
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Poke with each object once and draw the left finger: raw, rectified, difference, dot motion."""
+    """Poke with each object once and draw the left finger: raw, rectified, difference, motion of the markers."""
 
     out: Path = Path("docs/imprint.png")
     """PNG file to write."""
@@ -59,4 +59,4 @@ def draw(options: Options) -> None:
         for axes, name in zip(panels, options.objects, strict=True):
             _row(axes, name, options)
         for axes, title in zip(panels[0], COLUMNS, strict=True):
-            axes.set_title(title)
+            axes.set_title("\n".join(filter(None, (title, axes.get_title()))))

@@ -1,6 +1,7 @@
 """The operations files agree with each other and with the code, as far as that shows without building an image."""
 
 import http.server
+import json
 import re
 import subprocess
 import sys
@@ -145,6 +146,14 @@ def test_alerts_and_dashboard_read_only_metrics_that_the_service_has(path, tmp_p
     station.owned.close()
     metrics = Metrics(station)
     assert metrics_read((DOCKER / path).read_text()) <= {family.name for family in metrics.registry.collect()}
+
+
+def test_a_figure_of_now_is_none_of_a_service_that_has_gone():
+    """Over a range, the last value would be shown for hours: `ready` of a service that is no more."""
+    panels = json.loads((DOCKER / "grafana" / "dashboard.json").read_text())["panels"]
+    now = [target for panel in panels if panel["type"] == "stat" for target in panel["targets"]]
+    assert now
+    assert all(target["instant"] and not target["range"] for target in now)
 
 
 def test_every_alert_is_tested():

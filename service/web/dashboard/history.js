@@ -6,6 +6,7 @@ import { play } from "/dashboard/player.js";
 const FILTERS = { object: "by-object", outcome: "by-outcome", cause: "by-cause" };
 const words = (text) => (text ?? "").replaceAll("_", " ");
 const RECENT = 20; // insertions of a moving mean
+const LISTED = 500; // insertions at most, in the table and in the trends
 let all = [];
 at("by-id").oninput = show;
 
@@ -34,15 +35,22 @@ function options(select, values) {
 function show() {
   const chosen = all.filter((one) => Object.entries(FILTERS).every(([key, id]) => at(id).value === "*" || (one[key] ?? "") === at(id).value) && one.insertion_id.includes(at("by-id").value.trim()));
   const inserted = chosen.filter(({ outcome }) => outcome === "inserted"), ended = chosen.filter(({ outcome }) => outcome !== "aborted"); // by a person, as a probe, or to be regrasped
-  at("count").textContent = ended.length ? `${inserted.length} of ${ended.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}` : chosen.length ? `${chosen.length} aborted` : "none";
-  renew(at("past"), chosen.slice(0, 500).map(row));
-  trend(ended.slice(0, 500).reverse());
+  const others = chosen.length - ended.length, more = chosen.length > LISTED ? `; the newest ${LISTED} listed` : "";
+  at("count").textContent = ended.length ? `${inserted.length} of ${ended.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}${others ? `; ${others} aborted, not counted` : ""}${more}` : chosen.length ? `${chosen.length} aborted` : "none";
+  renew(at("past"), chosen.slice(0, LISTED).map(row));
+  trend(ended.slice(0, LISTED).reverse());
+}
+
+// By the viewer's clock, as alarms have it; the service tells UTC.
+function when(started) {
+  const then = new Date(`${started.replace(" ", "T")}Z`);
+  return `${then.toLocaleDateString("en-GB", { day: "numeric", month: "short" })} ${then.toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" })}`;
 }
 
 function row(one) {
   const cell = (textContent, className = "") => element("td", { textContent, className });
   const button = element("button", { type: "button", value: one.name, textContent: "Play", ariaLabel: `play back ${one.insertion_id}`, title: one.insertion_id, onclick: () => play(one) });
-  return element("tr", {}, cell(one.started.slice(5, 16)), cell(words(one.object) || "–"), cell(ending(one), one.outcome === "inserted" ? "good" : one.outcome === "aborted" ? "" : "bad"), cell(words(one.cause)), cell(one.attempts), cell(one.seconds?.toFixed(1) ?? "–"), element("td", {}, button));
+  return element("tr", {}, cell(when(one.started)), cell(words(one.object) || "–"), cell(ending(one), one.outcome === "inserted" ? "good" : one.outcome === "aborted" ? "" : "bad"), cell(one.attempts), cell(one.seconds?.toFixed(1) ?? "–"), element("td", {}, button));
 }
 
 const mean = (values) => (values.length ? values.reduce((sum, value) => sum + value, 0) / values.length : NaN);
@@ -55,11 +63,13 @@ function moving(list, of) {
 async function trend(list) {
   const place = element("div"); // of this call: another may begin while this one waits for the library
   at("trend").replaceChildren(place);
+  const room = at("trend").clientHeight; // what the panel leaves; nothing where the page scrolls
   if (list.length < 2) { place.textContent = "A trend needs two insertions."; return; }
-  const x = list.map((_, i) => i + 1), key = "trend", height = Math.max(90, Math.floor((at("history").clientHeight - 260) / 3)) || 120;
+  const x = list.map((_, i) => i + 1), key = "trend", rem = parseFloat(getComputedStyle(document.documentElement).fontSize);
+  const height = Math.max(100, Math.floor((room - (3 * 1.3 + 1.7) * rem) / 3));
   const reach = (one) => mean((one.decisions ?? []).map((decision) => decision.reach_pitch).filter((value) => value > 0));
   const sum = (part, name) => part.reduce((total, one) => total + (one[name] ?? 0), 0);
-  await chart(place, { title: `Attempts, and the mean of ${RECENT}`, unit: "", x, key, height, range: (_, __, most) => [0, Math.max(4, most + 1)], lines: [{ label: "one insertion", colour: "gel", values: list.map((one) => one.attempts), points: true }, { label: "mean", colour: "busy", values: moving(list, (part) => mean(part.map((one) => one.attempts))) }] });
-  await chart(place, { title: "90 % intervals that held the pose it went in at", unit: " %", x, key, height, range: [0, 105], lines: [{ label: "held", colour: "good", values: moving(list, (part) => (100 * sum(part, "intervals_held_n")) / sum(part, "intervals_n")) }] });
-  await chart(place, { title: "Reach: shear of the gels at the stop, in pitches", unit: "", x, key, height, range: (_, __, most) => [0, Math.max(0.5, 1.1 * most)], lines: [{ label: "one insertion", colour: "gel", values: list.map((one) => { const value = reach(one); return Number.isFinite(value) ? value : null; }), points: true }, { label: "mean", colour: "busy", values: moving(list, (part) => mean(part.map(reach).filter(Number.isFinite))) }] });
+  await chart(place, { title: `Attempts (dots), mean of ${RECENT} (line)`, unit: "", x, key, height, over: true, range: (_, __, most) => [0, Math.max(4, most + 1)], lines: [{ colour: "gel", values: list.map((one) => one.attempts), points: true }, { colour: "busy", values: moving(list, (part) => mean(part.map((one) => one.attempts))) }] });
+  await chart(place, { title: "90 % intervals that held the pose it went in at", unit: " %", x, key, height, over: true, range: [0, 105], lines: [{ colour: "good", values: moving(list, (part) => (100 * sum(part, "intervals_held_n")) / sum(part, "intervals_n")) }] });
+  await chart(place, { title: "Reach: shear of the gels at the stop, in pitches", unit: "", x, key, height, range: (_, __, most) => [0, Math.max(0.5, 1.1 * most)], lines: [{ colour: "gel", values: list.map((one) => { const value = reach(one); return Number.isFinite(value) ? value : null; }), points: true }, { colour: "busy", values: moving(list, (part) => mean(part.map(reach).filter(Number.isFinite))) }] });
 }

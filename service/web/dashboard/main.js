@@ -5,9 +5,10 @@ import { drawAbove, drawSide } from "/dashboard/place.js";
 import { listPast } from "/dashboard/history.js";
 
 let today; // by the service's clock, for the viewer's may be wrong
+let heard = null; // when the service was last heard: {service_s, viewer_ms}, by either clock
 const clock = (seconds) => { const then = new Date(1000 * seconds); return `${then.toDateString() === today ? "" : `${then.toLocaleDateString("en-GB", { day: "numeric", month: "short" })}, `}${then.toLocaleTimeString("en-GB")}`; };
 const SILENT_MS = 5000;
-const NO_LINK = ["The page has no connection to the service", "What is shown below is old. It connects again by itself."];
+const NO_LINK = ["The page has no connection to the service", "It connects again by itself."];
 const NO_TOKEN = ["The address of this page lacks the token, or has a wrong one", "Open it with ?token= and the token of --token-watch behind the address."];
 const TOO_MANY = ["Too many pages are open", "This one connects by itself once another one is closed."];
 let newest = null;
@@ -17,6 +18,8 @@ let grew = { count: undefined, at: -Infinity };
 function show(status) {
   const { headline, running, last, alarms } = status;
   today = new Date(1000 * status.now_s).toDateString();
+  heard = { service_s: status.now_s, viewer_ms: performance.now() };
+  document.body.classList.remove("stale");
   showHeadline(headline);
   const stop = alarms.find((alarm) => alarm.level === "stop" && !alarm.acknowledged_s);
   showAcknowledge(headline.level === "stop" && stop);
@@ -25,7 +28,8 @@ function show(status) {
   drawSide(at("side"), running);
   showNext(running, last);
   showAlarms(alarms, status.open_alarms_n);
-  at("events").replaceChildren(...status.events.map(({ at_s, text }) => element("li", {}, element("time", { textContent: clock(at_s) }), element("span", { textContent: text }))));
+  const events = status.events.map(({ at_s, text }) => element("li", {}, element("time", { textContent: clock(at_s) }), element("span", { textContent: text })));
+  at("events").replaceChildren(...(events.length ? events : [element("li", { textContent: "Nothing yet" })]));
   showHealth(status.health);
   if (last?.insertion_id !== newest) { newest = last?.insertion_id; listPast(); }
 }
@@ -47,9 +51,11 @@ function showNext(running, last) {
   const move = running?.move, most = running?.attempts_max ?? 15, used = running?.attempt ?? 0;
   at("next-title").textContent = move && !running.target ? "Last move" : "Next move";
   at("move").textContent = move ? move.words.replace(", ", "\n") : running ? "None yet" : "No insertion under way";
-  at("felt").textContent = move ? `felt ${move.felt} of the gap` : running ? "" : last ? `last: ${last.words.toLowerCase()}${last.seconds ? `, ${last.seconds.toFixed(0)}\u00a0s` : ""}` : "";
-  for (const id of ["confidence", "attempts"]) at(id).hidden = !running;
-  at("sure").textContent = move ? `${move.sure}, ${Math.round(100 * move.confidence)} %` : "no decision yet";
+  at("move").className = !move ? "none" : move.sure.startsWith("guess") ? "guess" : "";
+  at("felt").textContent = move ? `felt ${move.felt} of the gap` : running ? "" : last ? `Last: ${last.words}${last.seconds ? `, ${last.seconds.toFixed(0)}\u00a0s` : ""}` : "";
+  at("confidence").hidden = !move;
+  at("attempts").hidden = !running;
+  at("sure").textContent = move ? `${move.sure}, ${Math.round(100 * move.confidence)} %` : "";
   at("meter").value = move?.confidence ?? 0;
   at("attempts").replaceChildren(...Array.from({ length: most }, (_, i) => element("li", { className: i + 1 < used ? "used" : i + 1 === used ? "now" : "" })));
   at("left-over").textContent = running ? `${most - used} of ${most} attempts left` : "";
@@ -66,8 +72,8 @@ function showAlarms(alarms, open) {
   const shown = alarms.map((alarm) => {
     const state = alarm.acknowledged_s ? "acknowledged" : alarm.active ? "still there" : "gone, not acknowledged";
     const facts = `${clock(alarm.at_s)}${alarm.times_n > 1 ? `, ${alarm.times_n} times` : ""}, ${alarm.level === "stop" && !alarm.acknowledged_s ? "not acknowledged" : state}`;
-    const text = element("div", {}, element("b", { textContent: alarm.title }), element("small", { textContent: facts }), element("small", { textContent: [alarm.remedy, alarm.detail].filter(Boolean).join(" ") }));
-    const item = element("li", { className: `${alarm.level} ${alarm.acknowledged_s ? "seen" : ""}` }, element("span", { className: "sign", textContent: SIGNS[alarm.level], ariaHidden: "true" }), text);
+    const item = element("li", { className: `${alarm.level} ${alarm.acknowledged_s ? "seen" : ""}` }, element("span", { className: "sign", textContent: SIGNS[alarm.level], ariaHidden: "true" }), element("b", { textContent: alarm.title }));
+    item.append(...[[facts, alarm.remedy].filter(Boolean).join(". "), alarm.detail].filter(Boolean).map((textContent) => element("small", { textContent })));
     if (!alarm.acknowledged_s) item.append(element("button", { type: "button", value: alarm.number, textContent: "Seen", ariaLabel: `acknowledge: ${alarm.title}`, onclick: () => acknowledge(alarm.number) }));
     return item;
   });
@@ -86,6 +92,7 @@ function growing(count) {
 }
 
 function showHealth(health) {
+  for (const [finger, { state }] of Object.entries(health.cameras)) showUnseen(finger, state !== "live");
   const items = Object.entries(health.cameras).map(([finger, c]) => [c.state === "live" ? "good" : "bad", `${finger} ${c.state === "live" && c.frame_rate_hz ? `${c.frame_rate_hz.toFixed(0)} Hz` : c.state}`]);
   items.push([health.driver ? "good" : "off", health.driver ? "robot" : "no robot"]);
   if (growing(health.frames_dropped_n)) items.push(["bad", `dropped ${health.frames_dropped_n}`]);
@@ -93,6 +100,12 @@ function showHealth(health) {
   items.push(...health.versions.map((words, i) => [i ? "off" : "good", words]));
   if (health.versions_problem) items.push(["bad", "no shadow", health.versions_problem]);
   at("health").replaceChildren(...items.map(([className, textContent, title = ""]) => element("li", { className, textContent, title })));
+}
+
+// The last picture of a camera that delivers no more is no live one.
+function showUnseen(finger, unseen) {
+  at(finger).classList.toggle("stale", unseen);
+  if (unseen) Object.assign(at(`${finger}-state`), { textContent: "no picture", className: "bad" });
 }
 
 function view() {
@@ -106,7 +119,11 @@ function view() {
   if (history) listPast();
 }
 
-function showLost([words, detail]) {
+// What is shown stays, for a person may need it, but grey, and with when it was true: on a day that is over also which.
+function showLost([words, remedy]) {
+  document.body.classList.toggle("stale", heard !== null);
+  if (heard) today = new Date(1000 * heard.service_s + performance.now() - heard.viewer_ms).toDateString();
+  const detail = heard ? `What is shown below is of ${clock(heard.service_s)}. ${remedy}` : remedy;
   showHeadline({ level: "stop", words, detail });
   showAcknowledge(false);
   for (const button of at("alarms").querySelectorAll("button")) button.disabled = true;

@@ -1,6 +1,7 @@
 // The object and the gap, to scale: from above with its error and the next move, and from the side with its depth.
 const NS = "http://www.w3.org/2000/svg";
-const BESIDE = 30; // mm of the blocks that are shown
+const BESIDE = 30; // mm of the blocks that are shown from above
+const ASIDE = 14; // and from the side: what is off by 15 mm is still in the picture
 
 function shape(kind, attributes, text) {
   const made = document.createElementNS(NS, kind);
@@ -33,12 +34,12 @@ export function drawAbove(svg, running) {
     if (running.target) parts.push(box("target", running.target), ...arrow(pose[0], running.target[0]));
   }
   parts.push(shape("text", { x: -room + 2, y: 52.5 }, "from above"), shape("text", { x: room - 2, y: 52.5, "text-anchor": "end" }, `gap ${gap.toFixed(0)} mm`));
-  if (running?.pose) parts.push(shape("text", { x: 0, y: -48.5, "text-anchor": "middle" }, `off by ${off(pose)}`));
+  if (running?.pose) parts.push(shape("text", { x: 0, y: -48.5, "text-anchor": "middle" }, off(pose)));
   svg.replaceChildren(...parts);
   svg.setAttribute("aria-label", running?.pose ? `from above: the object is off by ${off(pose)}` : "from above: where the object is off is not known yet");
 }
 
-const off = ([x, theta]) => `${x >= 0 ? "+" : "−"}${Math.abs(x).toFixed(1)} mm, ${theta >= 0 ? "+" : "−"}${Math.abs(theta).toFixed(1)}°`;
+const off = ([x, theta]) => `${Math.abs(x).toFixed(1)} mm ${x >= 0 ? "right" : "left"}, ${Math.abs(theta).toFixed(1)}° ${theta >= 0 ? "anticlockwise" : "clockwise"}`;
 
 function arrow(from, to) {
   if (Math.abs(to - from) < 1.5) return [];
@@ -49,11 +50,12 @@ function arrow(from, to) {
 export function drawSide(svg, running) {
   const { gap, wide } = sizes(running);
   const full = running?.expected_depth_mm ?? 25, deep = Math.max(-8, Math.min(full + 5, running?.depth_mm ?? -8));
-  const x = running?.pose?.[0] ?? 0, half = gap / 2 + 9, clear = 8;
+  const x = running?.pose?.[0] ?? 0, half = gap / 2 + ASIDE, clear = 8;
   svg.setAttribute("viewBox", `${-half} -62 ${2 * half} 124`);
-  const parts = [-1, 1].map((side) => shape("rect", { class: "block", x: side < 0 ? -half : gap / 2, y: 0, width: 9, height: 46 }));
+  const parts = [-1, 1].map((side) => shape("rect", { class: "block", x: side < 0 ? -half : gap / 2, y: 0, width: ASIDE, height: 36 }));
   const words = running ? `${Math.max(0, deep).toFixed(1)} of ${full.toFixed(0)} mm` : "";
-  parts.push(shape("path", { class: "line", d: `M${-gap / 2} ${full - clear}H${gap / 2}` }), shape("text", { x: 0, y: 58, "text-anchor": "middle" }, words || "from the side"));
+  const below = running ? [words, "deep"] : ["from the side"];
+  parts.push(shape("path", { class: "line", d: `M${-gap / 2} ${full - clear}H${gap / 2}` }), ...below.map((text, i) => shape("text", { x: 0, y: 48 + 11 * i, "text-anchor": "middle" }, text)));
   if (running) parts.push(shape("rect", { class: running.pose ? "object" : "object unknown", x: x - wide / 2, y: deep - clear - 40, width: wide, height: 40, rx: 2 }));
   svg.replaceChildren(...parts);
   svg.setAttribute("aria-label", `from the side${words && `: ${words} deep`}`);

@@ -9,7 +9,7 @@ let asked = 0;
 
 export async function play(one) {
   const mine = shown = { name: one.name, base: `/v1/recordings/${one.name}`, moments: [], events: [], plots: [] };
-  at("player-title").textContent = `${one.started} UTC: ${one.object ?? "object"}, ${ending(one)} after ${one.attempts} attempt${one.attempts === 1 ? "" : "s"}`;
+  at("player-title").textContent = `${one.started} UTC: ${one.object ?? "object"}, ${ending(one)}, after ${one.attempts} attempt${one.attempts === 1 ? "" : "s"}`;
   at("download").href = withToken(mine.base);
   at("answer").hidden = true;
   at("curves").replaceChildren();
@@ -37,11 +37,12 @@ async function draw(mine, { slip, push, depth, moments }) {
   at("curves").replaceChildren(place);
   const end = Math.max(1, moments.at(-1)?.t ?? 1, depth[0].at(-1) ?? 1);
   const common = { key: "player", height: Math.max(110, Math.round(innerHeight / 6.2)), axis: " s", gap: 0.3, onCursor: seek, scales: { range: () => [0, end] } };
-  const two = ([x, [left, right]]) => ({ x, lines: [{ label: "left", colour: "busy", values: left }, { label: "right, dashed", dash: [6, 4], colour: "warn", values: right }] });
+  const two = ([x, [left, right]]) => ({ x, lines: [{ colour: "busy", values: left }, { dash: [6, 4], colour: "warn", values: right }] });
+  const slips = two(aligned([slip.left, slip.right]));
   for (const one of [
-    { ...common, ...two(aligned([slip.left, slip.right])), title: "Slip (1: the arm stops)", unit: "", range: [0, 1.5] },
-    { ...common, ...two(aligned([push.left, push.right])), title: "Force: push that the gels carry, in marker pitches", unit: "" },
-    { ...common, x: depth[0], lines: [{ label: "depth", colour: "good", values: depth[1] }], title: "Depth", unit: " mm" },
+    { ...common, x: slips.x, lines: [...slips.lines, { colour: "quiet", dash: [2, 4], values: slips.x.map(() => 1) }], title: "Slip (right dashed; the arm stops at 1, dotted)", unit: "", over: true, range: (_, __, most) => [0, Math.max(1.5, most)] },
+    { ...common, ...two(aligned([push.left, push.right])), title: "Force: push that the gels carry, in marker pitches", unit: "", over: true },
+    { ...common, x: depth[0], lines: [{ colour: "good", values: depth[1] }], title: "Depth, mm", unit: "" },
   ]) {
     const plot = await chart(place, one);
     if (shown !== mine) { plot.destroy(); return; }

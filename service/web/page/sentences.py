@@ -42,11 +42,11 @@ MAY_GO_ON = frozenset({"attempts", "no_decision", "refused"})
 """Causes after which a cycle may carry the part away and go on, so that who reads keeps clear."""
 SHORT_N = 6  # of the letters of a version's name
 TIMES = {1: "once", 2: "twice"}
-SURE = ((0.9, "very sure"), (0.7, "fairly sure"), (0.45, "unsure"), (0.0, "guessing"))
+SURE = ((0.9, "very sure of"), (0.7, "fairly sure of"), (0.45, "unsure of"), (0.0, "guessing"))
 
 
 def sure(confidence: float) -> str:
-    return next(word for least, word in SURE if confidence >= least)
+    return next(word for least, word in SURE if confidence >= least) + " the direction"
 
 
 def shift(dx_mm: float, dtheta_deg: float) -> str:

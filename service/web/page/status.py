@@ -230,7 +230,7 @@ class Status:
             detail = ". ".join(part for part in (unseen, running.problem) if part)
             return {"level": level, "words": counted + text, "detail": detail}
         if stop is not None:
-            return {"level": "stop", "words": stop.title, "detail": f"{stop.remedy} {stop.detail}".strip()}
+            return {"level": "stop", "words": stop.title, "detail": f"{stop.remedy}\n{stop.detail}".strip()}
         if bad:
             return {"level": "warning", "words": unseen, "detail": CAMERA_REMEDY}
         if self._put_back is not None and self._last is not None:

@@ -42,7 +42,7 @@ def _boxes(data: Row, front: AbstractSet[str]) -> list[Panel]:
     seconds = "seconds a box"
     return [
         Panel("(a) force against time", seconds, "largest force of 95 % of boxes, N", series("force")),
-        Panel("(a) success against time", seconds, "inserted, %", series("share"), y_from=80.0),
+        Panel("(a) success against time", seconds, "inserted, %", series("share"), y_from=94.0),
     ]
 
 
@@ -106,7 +106,7 @@ def _transfer(kept: Row) -> Panel:
 
     def marks(presses: int) -> list[Mark]:
         return [
-            Mark(row["name"], exact(row["cpu_ms"]), _percent(row["right"]), row["name"].startswith("release"))
+            Mark(row["name"], exact(row["cpu_ms"]), _percent(row["right"]))
             for row in kept["transfer"]
             if row["presses"] == presses
         ]

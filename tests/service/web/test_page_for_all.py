@@ -72,7 +72,7 @@ def test_the_curve_of_one_finger_does_not_hide_the_others(live: LiveService, pag
           return n; }"""
     )
     assert min(left, right) > 20
-    assert "right, dashed" in page.locator("#curves .u-legend").first.text_content()
+    assert "right dashed" in page.locator("#curves .chart-title").first.text_content()
     assert page.problems == []
 
 

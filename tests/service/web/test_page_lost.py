@@ -1,11 +1,14 @@
 """The page in a real Chromium where the service does not let it in, or does not answer: it says why, and what to do."""
 
+import re
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pydantic import SecretStr
 
+from simulation.studies.motion_bounds.relay import Relay
 from tests.service.conftest import LiveService, live_service
 from tests.service.web import test_dashboard
 from tests.service.web.test_dashboard import give_up, insertion, says, wait_until
@@ -70,3 +73,29 @@ def test_a_history_that_cannot_be_read_says_so(live: LiveService, page: Any) -> 
     page.goto(live.url("/#live"))
     page.goto(live.url("/#history"))
     wait_until(page, "!document.getElementById('count').textContent.includes('does not answer')")
+
+
+def test_a_link_that_hangs_is_no_state_of_the_cell(live: LiveService, browser: Any) -> None:
+    """On a half-open link the page would show its last state for ever; it reports this and reconnects by itself."""
+    with closing(Relay.to(live.url(""))) as relay, closing(browser.new_page()) as page:
+        page.goto(f"{relay.url}/")
+        wait_until(page, "document.querySelectorAll('#health .good').length >= 2")
+        relay.misbehave("half open")
+        says(page, "no connection to the service")
+        relay.misbehave("fair")
+        wait_until(page, "document.getElementById('headline').className !== 'stop'")
+
+
+def test_what_is_old_says_of_when_and_on_another_day_of_which(live: LiveService, browser: Any) -> None:
+    with closing(Relay.to(live.url(""))) as relay, closing(browser.new_page()) as page:
+        page.clock.install()
+        page.goto(f"{relay.url}/")
+        wait_until(page, "document.querySelectorAll('#health .good').length >= 2")
+        relay.misbehave("half open")
+        says(page, "no connection to the service")
+        assert re.match(r"What is shown below is of \d\d:\d\d:\d\d\. ", page.locator("#detail").text_content())
+        assert page.evaluate("getComputedStyle(document.getElementById('left')).opacity") < "1", "drawings are greyed"
+        page.clock.fast_forward("24:00:00")
+        wait_until(page, r"/ of [0-9]+ [A-Z][a-z]+, [0-9:]{8}\. /.test(document.getElementById('detail').textContent)")
+        relay.misbehave("fair")
+        wait_until(page, "getComputedStyle(document.getElementById('left')).opacity === '1'")

@@ -69,7 +69,11 @@ def test_what_a_person_ended_is_listed_and_counts_neither_as_tried_nor_in_the_tr
 ) -> None:
     for name in ("ended once", "ended twice"):
         give_up(insertion(live, name.replace(" ", "-")))
+    give_up(insertion(live, "failed"), "arm", "arm: controller: motors off")
     page.goto(live.url("/#history"))
+    wait_until(
+        page, "/of [0-9]+ inserted.*; [0-9]+ aborted, not counted$/.test(document.getElementById('count').textContent)"
+    )
     page.get_by_label("Outcome").select_option("aborted")
     wait_until(page, "/^[0-9]+ aborted$/.test(document.getElementById('count').textContent)")
     wait_until(page, "document.getElementById('trend').textContent.includes('needs two insertions')")

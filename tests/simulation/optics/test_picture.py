@@ -35,6 +35,7 @@ def test_every_number_of_a_decision_is_written_with_its_unit() -> None:
     text = "\n".join(attempt_picture.fact_lines(DECISION))
     for part in ("+3.00 mm", "-4.00 deg", "+2.50 mm", "-1.75 mm", "+2.10 deg", "+1.0..+4.0 mm", "-5.0..-1.0 deg"):
         assert part in text
+    assert len({len(line) for line in text.splitlines()}) == 1, "numbers stand below numbers"
 
 
 def test_frames_of_another_shape_are_refused() -> None:

@@ -19,6 +19,7 @@ from simulation.closed_loop.play import insert, models_of
 from simulation.scene.worlds import World
 from simulation.studies.drawn_worlds import Start
 from simulation.studies.pace.choose import Wanted, choose, settings_toml
+from simulation.studies.pace.figures import figures
 from simulation.studies.pace.front import beaten_by, front
 from simulation.studies.pace.groups import groups
 from simulation.studies.pace.kept import kept
@@ -26,6 +27,7 @@ from simulation.studies.pace.points import BEFORE, POINTS, SHIPPED, Point, clien
 from simulation.studies.pace.report import pace_page
 
 SHIPPED_CLIENT = client()
+DOCS = Path(__file__).parents[3] / "docs"
 FACTS = {
     "egm_guide_port": 6510,
     "rapid": {},
@@ -112,6 +114,12 @@ def test_a_choice_is_beaten_only_beyond_chance():
     assert front(published) == {"quick", "as good", "gentle"}
 
 
+def test_a_star_is_what_ships_and_nothing_else():
+    shown = figures(json.loads((DOCS / "pace.json").read_text()), set())
+    stars = {mark.name for panel in shown for series in panel.series for mark in series.marks if mark.ships}
+    assert stars == {"as shipped", "steps of depth", "fp32"}
+
+
 def test_a_quicker_choice_with_an_untrue_claim_beats_nobody():
     liar = played(4.0, 20.0, 30)
     for row in liar[30:]:
@@ -173,7 +181,7 @@ def test_seconds_in_lock_step_add_up_and_what_ships_is_slow_only_around_the_tops
 
 
 def test_the_page_counts_false_claims_among_claims():
-    data = json.loads((Path(__file__).parents[3] / "docs" / "pace.json").read_text())
+    data = json.loads((DOCS / "pace.json").read_text())
     data["points"] = [row | {"inserted": 90, "claimed_wrongly": 0, "untrue": []} for row in data["points"]]
     data["points"][0] |= {"claimed_wrongly": 1, "untrue": [[7, "it is tilted"]]}
     text = " ".join(pace_page(data).split())
@@ -182,5 +190,4 @@ def test_the_page_counts_false_claims_among_claims():
 
 
 def test_what_the_page_shows_of_others_is_what_they_say_today():
-    docs = Path(__file__).parents[3] / "docs"
-    assert json.loads((docs / "pace.json").read_text())["kept"] == kept(docs)
+    assert json.loads((DOCS / "pace.json").read_text())["kept"] == kept(DOCS)
