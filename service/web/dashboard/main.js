@@ -66,6 +66,7 @@ let listed = "";
 
 function showAlarms(alarms, open) {
   say("open-alarms", open ? String(open) : "");
+  at("open-alarms").className = alarms.some((alarm) => alarm.level === "stop" && !alarm.acknowledged_s) ? "stop" : "";
   const list = JSON.stringify([today, alarms]);
   if (list === listed) return; // a list that is worked on stays put
   listed = list;

@@ -143,7 +143,7 @@ def test_a_failure_is_latched_until_it_is_acknowledged(live: LiveService, page: 
     says(page, "Holding: the object slipped out of the fingers")
     page.reload()
     says(page, "Holding: the object slipped out of the fingers")
-    assert page.locator("#open-alarms").text_content() == "1"
+    assert page.locator("#open-alarms.stop").text_content() == "1"
     keep(page, "dashboard_fault")
     page.get_by_role("button", name="Acknowledge", exact=True).click()
     says(page, "Ready for the next object")
@@ -250,6 +250,7 @@ def test_a_cut_camera_is_seen_at_once_and_stays_an_alarm(live: LiveService, page
     wait_until(page, "document.getElementById('right-state').textContent !== 'no picture'")
     wait_until(page, "document.getElementById('headline').className === 'good'")
     assert "gone, not acknowledged" in page.locator("#alarms li").first.text_content()
+    assert page.locator("#open-alarms.stop").count() == 0, "red is for what holds the arm"
     page.get_by_role("button", name=re.compile("acknowledge: Right camera")).click()
     wait_until(page, "document.getElementById('open-alarms').textContent === ''")
     assert page.request.get(live.url("/favicon.ico")).status == 200
