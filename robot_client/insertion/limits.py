@@ -84,12 +84,20 @@ def check_pose(limits: Limits, pose: WorkPose, name: str = "target", here: WorkP
 
 def check_arrived(target: WorkPose, pose: WorkPose) -> None:
     """Raise LimitError if a move did not lead to its target: the next one would begin elsewhere, perhaps low down."""
-    away_mm, away_deg = target.distance_mm(pose), target.turn_deg(pose)
+    _check_near(target, pose, "the arm ended its move {} away from its target")
+
+
+def check_descended(top: WorkPose, depth_mm: float, pose: WorkPose) -> None:
+    """Raise LimitError for a pose that no descent by ``depth_mm`` leads through: its depth says nothing."""
+    on_the_way = top.at_height(min(max(pose.z_mm, top.z_mm - depth_mm), top.z_mm))
+    _check_near(on_the_way, pose, "the arm stands {} off its descent")
+
+
+def _check_near(place: WorkPose, pose: WorkPose, text: str) -> None:
+    away_mm, away_deg = place.distance_mm(pose), place.turn_deg(pose)
     if not (away_mm <= ARRIVED_MM and away_deg <= ARRIVED_DEG):
-        allowed = f"allowed {ARRIVED_MM:g} and {ARRIVED_DEG:g}"
-        raise LimitError(
-            f"the arm ended its move {away_mm:.2f} mm and {away_deg:.2f} deg away from its target, {allowed}"
-        )
+        away = text.format(f"{away_mm:.2f} mm and {away_deg:.2f} deg")
+        raise LimitError(f"{away}, allowed {ARRIVED_MM:g} and {ARRIVED_DEG:g}")
 
 
 def _widened(low: float, high: float, here: float) -> tuple[float, float]:

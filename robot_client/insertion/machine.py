@@ -48,7 +48,7 @@ from robot_client.insertion.events import (
 )
 from robot_client.insertion.grip import forgotten, grasp, on_gripper
 from robot_client.insertion.lease import ClockMap
-from robot_client.insertion.limits import LimitError, check_correction
+from robot_client.insertion.limits import LimitError, check_correction, check_descended
 from robot_client.insertion.state import Phase, Plan, State, Timeouts
 from service.contract import wire
 
@@ -133,6 +133,10 @@ def _on_approached(state: State, event: Arrived) -> Result:
 def _on_standstill(state: State, event: Standstill) -> Result:
     """Report the depth: short of full depth is blocked; at full depth the service decides on the insertion."""
     assert state.armed is not None
+    try:
+        check_descended(state.armed, state.bottom_mm, event.pose)
+    except LimitError as error:
+        return fail(state, "arm", "tracking", str(error))
     plan, depth_mm = state.plan, state.armed.z_mm - event.pose.z_mm
     state = replace(state, pose=event.pose, stopped_s=event.at_s)
     inserted = depth_mm >= plan.expected_depth_mm - plan.depth_tolerance_mm

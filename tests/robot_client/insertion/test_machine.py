@@ -94,6 +94,24 @@ def test_a_full_descent_is_an_insertion():
     assert (state.phase, commands) == (Phase.INSERTED, ())
 
 
+@pytest.mark.parametrize(
+    "stands",
+    [
+        APPROACH.at_height(0.01),  # in metres
+        APPROACH.at_height(8.9),
+        APPROACH.at_height(36.1),
+        APPROACH.at_height(10.0).corrected(1.1, 0.0),
+        APPROACH.at_height(10.0).corrected(0.0, 1.1),
+    ],
+)
+def test_a_pose_off_the_descent_is_no_depth_that_anybody_is_told(stands):
+    state, commands = run([*TO_DESCENT, at(APPROACH.at_height(10.0)), at(stands, Standstill)])
+    assert state.phase is Phase.FAILED
+    assert state.reason.startswith("arm: tracking: the arm stands")
+    assert [c.message.type for c in commands if isinstance(c, Send)][-2:] == ["descending", "abort"]
+    assert commands[-2].stop, "the controller's program ends, too"
+
+
 TO_FULL_DEPTH = [*TO_DESCENT, at(APPROACH.at_height(10.0)), at(APPROACH.at_height(10.02), Standstill)]
 
 
