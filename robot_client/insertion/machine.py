@@ -158,8 +158,8 @@ def _on_standstill(state: State, event: Standstill) -> Result:
         state, commands = fail(state, "gripper", "part_lost", f"the object was lost at {depth_mm:.2f} mm")
         return state, (stopped, *commands)
     if outcome == "blocked" and state.attempt >= plan.limits.max_attempts and not plan.only_probes:
-        since = " since it was regrasped" if plan.continues else ""
-        state, commands = fail(state, "client", "attempts", f"not inserted after {state.attempt} attempts{since}")
+        number = f"number {state.attempt}{' since it was regrasped' if plan.continues else ''}"
+        state, commands = fail(state, "client", "attempts", f"the last attempt, {number}, was blocked")
         return state, (stopped, *commands)
     if plan.only_probes and outcome == "inserted":  # no contact, so there is nothing to report
         return lift(state, event.at_s)

@@ -201,10 +201,10 @@ def test_the_last_attempt_may_still_go_in():
     inserted, _ = step(state, at(APPROACH.at_height(10.5), Standstill))
     assert inserted.phase is Phase.CLOSING
     blocked, _ = step(state, at(APPROACH.at_height(12.0), Standstill))
-    assert blocked.reason == "client: attempts: not inserted after 1 attempts"
+    assert blocked.reason == "client: attempts: the last attempt, number 1, was blocked"
     limited = {"limits": Limits(max_attempts=1), "continues": "before"}
     again, _ = step(run(TO_STOP, State(PLAN.model_copy(update=limited)))[0], at(APPROACH.at_height(12.0), Standstill))
-    assert again.reason == "client: attempts: not inserted after 1 attempts since it was regrasped"
+    assert again.reason == "client: attempts: the last attempt, number 1 since it was regrasped, was blocked"
 
 
 @pytest.mark.parametrize("phase", [Phase.APPROACHING, Phase.ARMING, Phase.DECIDING, Phase.CLOSING])
