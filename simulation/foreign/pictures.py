@@ -85,10 +85,10 @@ class Camera:
         slope_v, slope_u = np.gradient(-felt[..., 2])
         slope = _sampled(np.stack([slope_u, slope_v, felt[..., 2]], -1), rest)[..., :2]
         albedo = _sampled(self._albedo, rest)[..., :1]
-        steep = np.sqrt(1.0 + np.square(slope).sum(-1))[..., None]
+        steep = np.sqrt(1.0 + _dot(slope, slope))
         shade = np.zeros_like(slope[..., :1])
         for colour, towards, flat in self._lit:
-            facing = np.maximum(flat - (slope * towards).sum(-1, keepdims=True), 0.0) / steep
+            facing = np.maximum(flat - _dot(slope, towards), 0.0) / steep
             shade = shade + colour * (AMBIENT * flat + facing)
         return np.asarray(self._bright * albedo * shade * self._window + 12.0 * (1.0 - self._window), np.float32)
 
@@ -125,6 +125,11 @@ class Camera:
             edge = 1.0 / (1.0 + np.exp((np.hypot(u[near] - x, v[near] - y) - size) / DOT_RIM_PX))
             paint[near] *= 1.0 - (1.0 - DOT_ALBEDO) * edge
         return np.repeat(paint[..., None], 3, axis=-1)
+
+
+def _dot(one: Floats, other: Floats) -> Floats:
+    """Scalar products of vectors [h, w, 2], as [h, w, 1]; numpy's sum over an axis of two takes ten times as long."""
+    return one[..., :1] * other[..., :1] + one[..., 1:] * other[..., 1:]
 
 
 def _sampled(source: Floats, at: Floats, interpolation: int = cv2.INTER_LINEAR) -> Floats:
