@@ -34,8 +34,8 @@ _MEASURED = """
 ## How it was measured
 
 Every cell is drawn from the ranges of [worlds](worlds.md), and the software is given none of its properties.
-Marker positions are the true ones plus the tracker's error. Shares have the 95 % Wilson interval. A failure
-counts as 16 trials.
+Marker positions are the true ones plus the tracker's error. Intervals are 95 % Wilson ones. A failure counts as
+16 trials.
 
 ## Four probes name a wiring mistake
 
@@ -68,12 +68,10 @@ def commissioning_page(data: Row) -> str:
         """
         ## What the cell learns
 
-        The release and the networks that `training adapt` makes from it play the same fresh insertions. `training
-        adapt` runs after 50 probes, after all probes, or only with production insertions, whose earlier errors are
-        known in hindsight. Where it [keeps the release](decisions/0096-adapting-in-stages.md), the row repeats the
-        figures of the release. One of its stages learns from [presses simulated around the
-        cell](decisions/0180-presses-around-a-cell.md), which needs the probes only for calibration and acceptance. All
-        worlds together:
+        The release and the networks that `training adapt` makes from it, after 50 probes, after all, or with production
+        insertions only, play the same fresh insertions. Where it [keeps the
+        release](decisions/0096-adapting-in-stages.md), the row repeats its figures. The stage `around` learns from
+        [presses simulated around the cell](decisions/0180-presses-around-a-cell.md). All worlds together:
         """,
         _pooled(learnt),
         "Each world, the smallest gain in mean trials first:",
@@ -81,9 +79,8 @@ def commissioning_page(data: Row) -> str:
         """
         ## Each stage on held-out probes
 
-        The negative log likelihood covers the direction and the error; lower is better. Of the stages without an
-        objection, the one with the lowest value is accepted. Means over the attempts of all worlds after 50 probes,
-        the best stage first:
+        The negative log likelihood covers the direction and the error; of the stages without an objection, the one with
+        the lowest is accepted. Means over the attempts of all worlds after 50 probes, the best stage first:
         """,
         _stages(learnt),
         "## Each decision and its reasons",
@@ -98,7 +95,7 @@ def commissioning_page(data: Row) -> str:
             ("time s", "took_s", ".0f"),
         ),
         data["note"],
-        "`make commissioning` plays 12 such worlds to the end, including the layer tier, and writes this page.",
+        "`make commissioning` plays 12 such worlds and writes this page.",
     )
 
 
