@@ -25,16 +25,14 @@ def foreign_world_page(data: Row) -> str:
         ## How it was measured
 
         The released networks, without adaptation, run in a [cell of finite elements](foreign_check.md) that shares no
-        code with the physics that trained them.
+        code with the physics that trained them. [foreign_world.csv](foreign_world.csv) lists every insertion.
 
         - **Seal.** Worlds, objects and starts follow from the SHA-256 of the network files and a counter
-          ({data["counter"]}): `{data["seal"][:16]}`. Nobody can choose them. Every insertion is listed in
-          [foreign_world.csv](foreign_world.csv).
+          ({data["counter"]}): `{data["seal"][:16]}`. Nobody can choose them.
         - **Three families of gels.** *Edges near*: the gel ends within 1 mm of the markers. *Edges far*: it extends at
           least 5 mm beyond them. *Stiff and slippery*: it slides after 0.15 to 0.4 marker pitches.
-        - **Everything else** is drawn from the ranges of [worlds](worlds.md), including the properties that the
-          software is never given; so are the objects. Poisson's ratio is that of rubber, 0.45 to 0.495. No gel
-          relaxes and no finger bends.
+        - **Everything else**, objects included, is drawn from the ranges of [worlds](worlds.md). Poisson's ratio is
+          that of rubber, 0.45 to 0.495. No gel relaxes and no finger bends.
         - **Scoring.** Marker positions are the true ones plus the tracker's error. The shear reach was not given to the
           networks. A failure counts as 16 trials.
         {_baselines(data)}
@@ -77,8 +75,7 @@ def _tests_before(rows: list[Row]) -> tuple[str | Table, ...]:
         """
         ## Earlier tests
 
-        Each was played in other worlds, in the software and with the networks of its time. What one test showed led to
-        the change before the next:
+        Each was played in other worlds, with the software and the networks of its time:
         """,
         table(
             rows,
