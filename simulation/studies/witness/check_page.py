@@ -26,14 +26,10 @@ def foreign_check_page(data: Row) -> str:
 
         ## How it was measured
 
-        The [foreign cell](decisions/0070-a-foreign-cell-of-finite-elements.md) plays each probe: it grips, carries or
-        sets down a flat box on the edges of the gap. CalculiX 2.20 receives the pose of the box in the hand for every
-        load step, and moves a rigid plate along the same path on the same pad. The two differ in:
-
-        - elements: serendipity bricks with reduced integration in CalculiX, quadratic bricks with linear pressures
-          here;
-        - contact: surface-to-surface penalty contact in CalculiX, exact contact at nodes here;
-        - solver: CalculiX uses its own iteration and increments.
+        The [foreign cell](decisions/0070-a-foreign-cell-of-finite-elements.md) grips, carries or sets down a flat box
+        on the edges of the gap. CalculiX 2.20 moves a rigid plate along the same path, load step by load step, on the
+        same pad, with its own solver. It has serendipity bricks with reduced integration, where ours are quadratic
+        with linear pressures, and surface-to-surface penalty contact, where ours is exact at nodes.
 
         The table compares the force of the plate, the displacement of the face (RMS by area) and the share of nodes
         where friction is at its limit. "Inside" excludes the nodes on the rim of the face.
@@ -81,16 +77,15 @@ def _hard(hard: Mapping[str, Any]) -> str:
 _COSTS = (
     "## Mesh, load step and cost of each tier",
     """
-    A descent of 1.2 mm on an edge, in four parts. Errors are those at its end against the finest mesh (8 x 8 x 3
-    elements, load step 0.085 mm). The stop depth is the depth at which a quarter of the contact slips. CPU time is that
-    of the descent.
+    A descent of 1.2 mm on an edge, in four parts, with its CPU time. Errors are those at its end against the finest
+    mesh (8 x 8 x 3 elements, load step 0.085 mm). At the stop depth a quarter of the contact slips.
     """,
 )
 _STRAINS = (
     "## What the finite elements leave out",
     """
-    The elements assume small strains. CalculiX with neo-Hookean rubber and finite deformation, on the same paths, shows
-    how much that matters:
+    The elements assume small strains. What CalculiX gets on the same paths with neo-Hookean rubber and finite
+    deformation:
     """,
 )
 _PROBE: tuple[Any, ...] = (
