@@ -20,31 +20,18 @@ from simulation.studies.pace.tables import by_group, columns, parts
 NAME = "pace"
 WANTED = 1.8  # times fewer seconds a box than before
 BESIDES = """
-Decisions: [slow around the tops](decisions/0154-slow-around-the-tops.md), [a descent at two
-speeds](decisions/0104-a-descent-at-two-speeds.md), [when a turn is
-known](decisions/0155-standing-still-is-no-sliding.md).
-
 ## Beside a live insertion
 
-Lock step leaves out the latency of camera, network and perception. The rectangle was therefore also inserted live, in
-the simulated cell, on two cores with seven busy programs.
+Lock step leaves out the latency of camera, network and perception. The rectangle, inserted live in the simulated cell,
+on two cores with seven busy programs:
 
 | settings | cameras | inserted | pauses of the lease | one start (4.8 mm, 4.4 deg) |
 | --- | --- | --- | --- | --- |
 | as shipped | 30 frames a second | two of two | 0 | 8.6 s, three attempts |
 | quick | 60 frames a second | three of three | 17 to 41 | 5.0 s, two attempts |
 
-An earlier quick choice that probed at 15 mm/s inserted one of four on such a machine; the lease held the arm in the
-other three. The arm's statistics count `pauses`. If a cell shows more than a few, leave its fast legs out.
-
-The client prints the same parts of the time after every insertion and logs them. `python -m simulation run --client
-pace.toml` plays a choice live.
-
-## More than one cell
-
-[Serving](serving.md) measures one, two and four cells on one PC, and works out recordings, bandwidth and adaptation for
-a fleet of 100. [Several cells](deployment.md#several-cells) says what a second process saves in collection and
-training.
+The arm's statistics count `pauses`. If a cell shows more than a few, leave its fast legs out. `python -m simulation run
+--client pace.toml` plays a choice live. The client prints the parts of the time after every insertion.
 """
 
 
@@ -115,16 +102,15 @@ def pace_page(data: Row) -> str:
         f"""
         ## The choices
 
-        {data["insertions"]} insertions a choice, in drawn worlds with drawn objects (seed {data["seed"]}, bristle
-        tier), in lock step through the service's session and the client's state machine, ramps and leases. The shear
-        reach was given. The choices were fixed before, and all begin from the same starts. A box begins 30 mm above the
-        approach and ends when the insertion is confirmed or given up. *Seconds a box* are all seconds over all boxes
-        inserted, so a failure costs the time that it took. *{BEFORE}* is what shipped before any of these choices: 10
-        mm/s all the way, back up to the approach each time, presses by 1.2 mm, an upright tool, travel at 55 mm/s.
-        Intervals are of 95 % (bootstrap over starts; Wilson for shares).
+        {data["insertions"]} insertions a choice, all from the same starts in drawn worlds with drawn objects (seed
+        {data["seed"]}, bristle tier), in lock step through the service's session and the client's state machine, ramps
+        and leases. The shear reach was given. A box begins 30 mm above the approach and ends when the insertion is
+        confirmed or given up. *Seconds a box* are all seconds over all boxes inserted, so a failure costs the time that
+        it took. *{BEFORE}*: 10 mm/s all the way, back up to the approach each time, presses by 1.2 mm, an upright tool,
+        travel at 55 mm/s. Intervals are of 95 % (bootstrap over starts; Wilson for shares).
 
-        **Bold**: on the front. No choice that any cell can run beats it: none is better by more than chance in seconds,
-        force, boxes or false claims without being worse in another.
+        **Bold**: no choice that any cell can run beats it, better by more than chance in seconds, force, boxes or false
+        claims without being worse in another.
         """,
         columns(data, front(data["points"])),
         f"""
@@ -185,22 +171,20 @@ def _figures(kept: Row) -> str:
     return f"""
     A star is what ships; bars are intervals of 95 %.
 
-    - (a) The paper states neither speed nor seconds a box, so its pace has no mark.
     - (b), (c) Held-out simulated decisions, from the [depths](depths.md) and the model cards; CPU time from [what a
       decision costs](benchmark.md). {kept["press_mm"]:g} mm of pressing ships, between two marks of (b). Networks of
       one colour were asked about the same collisions, those of the other colour about others.
     - (c) No int8 build pays. The two that command what fp32 does take {builds["int8 dynamic"]["cpu_ms"]:.1f} and
-      {builds["int8 blocked"]["cpu_ms"]:.1f} ms instead of {builds["fp32"]["cpu_ms"]:.1f}, for networks that no cell
-      needs.
+      {builds["int8 blocked"]["cpu_ms"]:.1f} ms instead of {builds["fp32"]["cpu_ms"]:.1f}.
     - (d) Networks that were trained in one tier of the gel each, tested in finite elements that none of them had seen:
       [more presses pay, finer physics does not](transfer.md).
-    - Slip has no figure because there is nothing to choose. One tracker ships, {slip["ms"]:.1f} ms a finger and frame.
-      It is right in {Estimate(*images["accuracy"]):.1%} from pictures and in {Estimate(*true["accuracy"]):.1%} from
-      true fields, both with a median delay of {images["delay_frames"]["median"]:.0f} frame and no false alarm ([slip
+    - One tracker of slip ships, {slip["ms"]:.1f} ms a finger and frame. It is right in
+      {Estimate(*images["accuracy"]):.1%} from pictures and in {Estimate(*true["accuracy"]):.1%} from true fields, with
+      a median delay of {images["delay_frames"]["median"]:.0f} frame and no false alarm ([slip
       report](slip_report.md)).
 
-    For the same figures with every interval on hover: `pip install plotly`, then `python -m simulation pace --draw
-    --docs docs --html runs/pace.html`. The file has 5 MB and needs no network.
+    With every interval on hover: `pip install plotly`, then `python -m simulation pace --draw --docs docs --html
+    runs/pace.html`.
     """
 
 
@@ -214,14 +198,12 @@ def _early(kept: Row, shipped: Row) -> str:
     waits_s, attempts = shipped["frames_s"]["mean"], shipped["attempts"]
     share = attempts * waits_s / shipped["seconds"]["mean"]
     return f"""
-    **Early decisions.** The arm waits for nothing once it stands: by then the networks have read what they need. From
-    the touch to the last frame that a decision reads, {waits_s:.2f} s pass. With {attempts:.1f} attempts a box that is
-    {number(share, ".0%")} of all seconds. An attempt presses by {press_mm:g} mm instead of the {reads_mm:g} mm that the
-    networks can read. That saves {number(1.0 - press_mm / reads_mm, ".0%")} of the press without loss of success or
-    trials, and avoids regrasps ([the depth of a decision](decisions/0079-the-depth-of-a-decision.md)). Stopping as soon
-    as a direction has a probability of 0.6 would save {number(least["saved"], ".0%")} of {reads_mm:g} mm, with
-    {_share(least["right"])} of held-out directions right instead of
-    {_share(kept["depths"][f"test, {reads_mm:.1f} mm"])}. That is hardly more, so it was not built.
+    **Early decisions** would save little: from the touch to the last frame that a decision reads, {waits_s:.2f} s pass,
+    with {attempts:.1f} attempts a box {number(share, ".0%")} of all seconds. Pressing by {press_mm:g} mm saves
+    {number(1.0 - press_mm / reads_mm, ".0%")} of the {reads_mm:g} mm that the networks can read ([the depth of a
+    decision](decisions/0079-the-depth-of-a-decision.md)). To stop as soon as a direction has a probability of 0.6 would
+    save {number(least["saved"], ".0%")}, with {_share(least["right"])} of held-out directions right instead of
+    {_share(kept["depths"][f"test, {reads_mm:.1f} mm"])}.
     """
 
 
@@ -236,21 +218,20 @@ def _choices(of: Row) -> str:
     and back at 80 mm/s. What ships avoids them: {shipped["trips"]:.2f} a box instead of {before["trips"]:.2f}.
 
     - **Probing speed: {shipped["client"]["ramps"]["descend"]["speed_mm_s"]:g} mm/s around the tops of the blocks,
-      {shipped["client"]["pace"]["fast_mm_s"]:g} mm/s above and below.** Slower is quicker here. The way that the arm
-      goes on after the contact turns the part in the hand, and a regrasp costs more than a quicker touch saves
-      (*{_short(of, "one speed")}*). The fast legs are no faster than the whole descent was before, on the same lease of
-      1.5 mm. Arms with one speed, and cells whose cameras are too slow for the legs, probe all the way.
+      {shipped["client"]["pace"]["fast_mm_s"]:g} mm/s above and below.** [Slower is
+      quicker](decisions/0154-slow-around-the-tops.md): the way that the arm goes on after the contact turns the part in
+      the hand, and a regrasp costs more than a quicker touch saves (*{_short(of, "one speed")}*). Arms with one speed,
+      and cells whose cameras are too slow for the legs, probe all the way.
     - **Pressing: {shipped["client"]["pace"]["press_mm"]:g} mm after the touch instead of 1.2.** The last of the press
       turns the part most (*{_short(of, "deep")}*).
     - **Straightening: a tool tilted by up to 1.5 deg holds a turned part upright.** Only what turns further, or
       unseen, is regrasped (*{_short(of, "upright")}*).
     - **Lift: 3 mm above the highest height at which an attempt was stopped.** A part that is upright to 2 deg reaches
       no lower (*{_short(of, "high")}*).
-    - **Travel: 80 mm/s,** which the limits have always allowed. A turn keeps to 55 deg/s.
+    - **Travel: 80 mm/s;** a turn keeps to 55 deg/s.
     - **The belief decides,** with the networks for direction and magnitude in one file
       (*{_short(of, "heuristic")}*; *{_short(of, "joint")}*).
-    - **Not shipped: the quick choice.** It needs {quick["needs"]}, and a PC that judges every frame. Harder ramps were
-      never distinguished from the soft ones on a live cell.
+    - **Not shipped: the quick choice.** It needs {quick["needs"]}, and a PC that judges every frame.
 
     `choose` writes the settings that keep what you ask for, or the nearest if none does. It never prefers a choice with
     a false claim. With `--world` it plays all choices in your cell first:
