@@ -32,17 +32,14 @@ def bounds_page(data: dict[str, Any]) -> str:
 
         ## How it was measured
 
-        During the descent, the arm only continues while frames are judged ([the motion
-        lease](decisions/0051-motion-lease.md)). The test injects a fault into each of {len(rows)} live insertions;
-        {met} of the faults took effect in the intended phase. The simulated cell, the service and the client are
-        separate processes that communicate over sockets, and a relay between service and client degrades the network.
-        The arm descends as shipped: at 10 mm/s, and at 5 mm/s around the tops of the blocks, with a lag of 20 ms.
+        A descent only continues while frames are judged ([the motion lease](decisions/0051-motion-lease.md)). The test
+        injects a fault into each of {len(rows)} live insertions; {met} took effect in the intended phase. The simulated
+        cell, the service and the client are separate processes, and a relay degrades the network between the last two.
+        The arm descends as shipped, at 10 mm/s and at 5 mm/s around the tops of the blocks, with a lag of 20 ms.
 
-        - **Travel** is the largest distance downwards, including the stopping distance, after the capture of the last
-          frame that showed the world and was judged.
-        - **Force** is the largest force on the object during the whole insertion, including corrections and later
-          attempts.
-        - An insertion that ends as `inserted` survived its fault.
+        - **Travel**: the largest distance downwards, standstill included, after the capture of the last frame that
+          showed the world and was judged.
+        - **Force**: the largest on the object during the whole insertion, later attempts included.
 
         ## What the lease bounds
         """,
@@ -67,15 +64,13 @@ def _table(rows: Rows) -> Any:
 _BEYOND = """
 ## What it cannot bound
 
-**Frames that are older than their timestamps.** The content of such a frame does not reveal its age. A camera
-server should therefore stamp its frames at capture (`X-Timestamp` in the header of each part, in seconds of the
-cell PC's monotonic clock). One that does not is only as good as its latency, which commissioning measures; a
-service that was stopped drops what waited meanwhile. In this test the delay begins during the descent, and the
-resulting gap ends the lease. A delay that is present from the start adds 1 mm per 100 ms to every stop.
+**Frames that are older than their timestamps.** Let the camera server stamp its frames at capture (`X-Timestamp` in
+the header of each part, in seconds of the cell PC's monotonic clock). One that does not is only as good as its
+latency, which commissioning measures. In this test the delay begins during the descent, and the resulting gap ends
+the lease. A delay that is present from the start adds 1 mm per 100 ms to every stop.
 
-**A frozen picture with fresh noise.** The service recognises it by the noise of the frozen picture, which
-returns in every copy ([decision 132](decisions/0132-noise-comes-once.md)). The first copy passes as new, so the
-bound grows by one frame period, and the service must have seen the original frame. It judges no frames between
-closing the fingers and arming, nor between two attempts. If both cameras begin to repeat themselves there, only
-full depth and the forces that the grasp can carry bound the motion.
+**A frozen picture with fresh noise** is recognised only if its original was judged, and not before its second copy
+([decision 132](decisions/0132-noise-comes-once.md)): the bound grows by one frame period. No frames are judged
+between closing the fingers and arming, nor between two attempts. If both cameras begin to repeat themselves there,
+only full depth and the forces that the grasp can carry bound the motion.
 """
