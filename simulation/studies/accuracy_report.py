@@ -29,12 +29,11 @@ def accuracy_page(report: Row) -> str:
         ## How it was measured
 
         Each scene is probed once, with an error of 8 mm and 5 deg, to 1.5 mm past touchdown, where part of the contact
-        slips. All errors are those at the end of the probe. The marker error is the RMS over both fingers of the error
-        in the displacement since the grasp. CPU time is the best of several runs on one core.
+        slips. Errors are those at the end of the probe; that of the markers is the RMS over both fingers, in the
+        displacement since the grasp. CPU time is the best of several runs on one core.
 
-        - The first four error columns compare with the converged solution of the same tier (bristle: 60 x 63 nodes per
-          pad, load step 0.01 mm; layer: 40 x 42 nodes, 0.02 mm).
-        - The last four compare with the converged layer tier, so they include what the bristle model leaves out.
+        The first four error columns compare with the converged solution of the same tier (bristle: 60 x 63 nodes per
+        pad, load step 0.01 mm; layer: 40 x 42 nodes, 0.02 mm). The last four compare with the converged layer tier.
         """,
         table(
             report["costs"],
@@ -48,8 +47,7 @@ def accuracy_page(report: Row) -> str:
         table(times.items(), ("scene", 0), *((kind, lambda row, kind=kind: row[1][kind], ".1f") for kind in kinds)),
         f"""
         The times are for one core. Images are camera frames of {raw.width_px} x {raw.height_px} px of both fingers,
-        rendered and rectified. While the gel does not move, as during most of a probe, its lighting is computed once
-        and only the noise is drawn again.
+        rendered and rectified.
 
         Made by `make accuracy`.
         """,

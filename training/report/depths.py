@@ -182,24 +182,23 @@ def _parts(checkpoint: Checkpoint, measured_sha256: str, data: dict[str, Any]) -
         `{checkpoint.training_data_sha256[:12]}` at commit `{checkpoint.git_commit[:12]}` and measured on data
         `{measured_sha256[:12]}`; all figures are simulated. Each decision uses a camera of another rate, the tracker's
         error, and gap width, grasp height, grip and shear reach as a cell states them. `test` holds cells from other
-        draws than those of the training. Confidence and intervals were calibrated on `validation`, where coverage at
-        {depth} therefore holds by construction. Shares have 95 % Wilson intervals.
+        draws than those of the training. Coverage on `validation` at {depth} holds by construction: it was calibrated
+        there. Shares have 95 % Wilson intervals.
         """
     yield _table(data["depths"])
     yield """
         ## Deciding early
 
-        The same decisions, made at the first step at which the likeliest direction reaches the probability in the first
-        column. *Saved* is the share of the pressing that this avoids. A cell presses [0.75 mm as
+        The same decisions, as soon as the likeliest direction reaches the probability in the first column. *Saved*: the
+        share of the pressing that this avoids. A cell presses [0.75 mm as
         shipped](decisions/0079-the-depth-of-a-decision.md).
         """
     yield _table(data["sure"], ("saved", "1.saved", ".1%"), first="sure")
     yield """
         ## Upper bound
 
-        A network of the same size receives the true motion of the object in the hand and the exact conditions, and
-        decides after 1.2 mm. A perfect reading of the gel would tell such a network no more. The bound is low because
-        many errors move an object alike.
+        A network of the same size decides after 1.2 mm by the true motion of the object in the hand and the exact
+        conditions: a perfect reading of the gel would tell it no more. Many errors move an object alike.
         """
     yield _table(data["limit"])
     yield from _held_out_parts(data)
@@ -211,9 +210,8 @@ def _held_out_parts(data: dict[str, Any]) -> Iterator[str | Table]:
         yield """
             ## By camera and speed
 
-            Presses of `test`. The first rows read the same presses at each rate, those slower than 24 mm/s. The last
-            rows are slow and quick presses in other cells, read at 60 frames/s. The interval of a difference is that
-            of pairs.
+            Presses of `test`. The first rows read the same presses, slower than 24 mm/s, at each rate. The last rows
+            are slow and quick presses in other cells, read at 60 frames/s. Differences are of pairs.
             """
         yield camera_table(data["cameras"])
     if data["reach"]:
@@ -223,9 +221,9 @@ def _held_out_parts(data: dict[str, Any]) -> Iterator[str | Table]:
         yield """
             ## Detection of faulty inputs
 
-            Validation decisions as they are, and with one fault each. *AUROC*: the probability that strangeness is
-            higher with the fault than without it. *Refused*: the share above the card's limit. Swapped fingers look
-            like another valid error of the object, so no single decision reveals them.
+            Validation decisions, with one fault each. *AUROC*: the probability that strangeness is higher with the
+            fault than without it. *Refused*: the share above the card's limit. Swapped fingers look like another valid
+            error of the object: no single decision reveals them.
             """
         yield table(
             data["strange"].items(),

@@ -122,10 +122,10 @@ def grasps_page(data: Row) -> str:
         """
         ## How it was measured
 
-        Two GelSight Mini fingers grasp, lift and shake an object, which either stays in the hand or leaves it: 113
-        recordings of 23 objects, not in the repository. `python -m service judge` evaluated them with the tracker, open
-        gel, phases and slide witness of the live service. The labels were set by eye before anything was fitted, and
-        state how each can be checked (`tests/service/tools/real_slips.json`). Intervals are 95 % Wilson intervals.
+        Two GelSight Mini fingers grasp, lift and shake an object: 113 recordings of 23 objects, not in the repository,
+        evaluated by `python -m service judge` with the code of the live service. The labels were set by eye before
+        anything was fitted (`tests/service/tools/real_slips.json` states how each can be checked). Intervals are 95 %
+        Wilson intervals.
         """,
         _notes(data, left_out),
         """
@@ -144,17 +144,15 @@ def grasps_page(data: Row) -> str:
 
 def _notes(data: Row, left_out: Row) -> str:
     return f"""
-        - **Held-out objects.** For the rows with held-out objects, the witness and its limit were fitted without any
-          run of the object. The limit is the one at which {witness.FALSE_RUNS} held runs of the other objects alarm.
-          A motion of {witness.FURTHER:g} times the longest travel in any held run of the others alarms as well. The
-          inputs of the witness and the limits of the open gel were chosen with all runs in view. An alarm counts as in
-          a row of `service judge`, while the grasp is held and nothing but the fingers bears the object.
+        - **Held-out objects.** The witness and its limit were fitted without any run of the object. The limit is the
+          one at which {witness.FALSE_RUNS} held runs of the other objects alarm. A motion of {witness.FURTHER:g} times
+          the longest travel in any held run of the others alarms as well. The inputs of the witness and the limits of
+          the open gel were chosen with all runs in view.
         - **Evidence.** The witness has more evidence in the last 2 s before a loss than in 2 s of a held run with a
           probability of {left_out["auc"]:.2f}. It alarms in {left_out["false_frames_per_1000"]:.2f} of 1,000 held
           frames, and detected {left_out["early"]} of the slides before their labelled start.
-        - **Jumps of the grid.** {data["ambiguous"]} frames moved by about one marker pitch; they are ambiguous and do
-          not count as evidence.
-        - **Cost.** The median run takes {data["ms_a_frame"]:.1f} ms of CPU per finger and frame in total.
+        - **Jumps of the grid** by about one marker pitch, in {data["ambiguous"]} frames, do not count as evidence.
+        - **Cost.** The median run takes {data["ms_a_frame"]:.1f} ms of CPU per finger and frame.
 
         ## What it means and what is left
 
@@ -162,22 +160,18 @@ def _notes(data: Row, left_out: Row) -> str:
         switches the witness off).
 
         - **Impossible by its label.** {left_out["untellable"]} of the slides begin less than {AHEAD_N} frames before
-          the loss, or with the recording itself. No detector could have warned in time.
-        - **Two kinds of recordings.** {_kind(left_out, "short")} in the runs that were cut to the grasp;
-          {_kind(left_out, "long")} in those of 450 frames, most of which begin in a grip. The witness uses the strength
-          of the grip, which differs between the two kinds, so compare within one kind only.
-        - **Loss and release look alike.** In {data["emptied"]} runs labelled as held, both gels are empty at the end,
-          because the object was put down or let go. An end counts as released if the load on a gel reversed before
-          ([decision 190](decisions/0190-a-reversed-load-is-a-release.md)); otherwise as a loss. A live session knows
-          whether it commanded a release, and calls every other end a loss. No run whose object stays may be reported
-          as lost.
+          the loss, or with the recording itself.
+        - **Two kinds of recordings**, with grips of different strength, which the witness uses: compare within one kind
+          only. {_kind(left_out, "short")} in the runs that were cut to the grasp; {_kind(left_out, "long")} in those of
+          450 frames, most of which begin in a grip.
+        - **Loss and release look alike.** In {data["emptied"]} runs labelled as held, the object was put down or let go
+          at the end. An end counts as [released](decisions/0190-a-reversed-load-is-a-release.md) if the load on a gel
+          reversed before, otherwise as a loss. A live session calls every end that it did not command a loss.
         - **An open gel is not always recorded.** {data["without_open_frame"]} held runs contain no frame of one, and
-          the object counts as held throughout; the loads are compared with the least disturbed frame. A live session
-          learns its gels before each grasp.
+          the object counts as held throughout. A live session learns its gels before each grasp.
         - **Many held objects slide, too:** tubes and screwdrivers turn in the hand. Their alarms count as false here.
           Alarms with the object held out: {", ".join(left_out["false_runs"]) or "none"}.
-        - **No look-ahead.** The length of a recording is not evidence: nothing is compared between runs, and no phase
-          uses later frames.
+        - **No look-ahead.** Nothing is compared between runs, and no phase uses later frames.
         """
 
 
