@@ -75,7 +75,8 @@ def _tests_before(rows: list[Row]) -> tuple[str | Table, ...]:
         """
         ## Earlier tests
 
-        Each was played in other worlds, with the software and the networks of its time:
+        Each was played in other worlds, with the software and the networks of its time. *Change*: what the test before
+        it had led to.
         """,
         table(
             rows,
