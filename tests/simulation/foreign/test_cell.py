@@ -87,6 +87,12 @@ def test_a_weight_beyond_friction_is_lost():
     assert held(x_mm=0.0, object__mass_kg=2.0, gel__friction=0.2).look().grasp_lost
 
 
+def test_an_object_that_slid_out_of_the_grasp_pushes_on_the_hand_no_more():
+    state = lowered(held(x_mm=0.0, theta_deg=20.0, gel__friction=0.2, numerics__load_step_mm=1.0), 16.0)
+    assert state.grasp_lost
+    assert np.abs(state.wrench_n_nmm).max() == 0.0
+
+
 def test_the_moment_over_the_force_is_the_edges_lever():
     """A vertical push at the block's edge, without friction there: moment about y is force times G / 2 - |x|."""
     cell = held(x_mm=8.0, effects__edge_friction="off", object__mass_kg=1e-3)
