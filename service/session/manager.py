@@ -70,6 +70,7 @@ class InsertionManager:
     _decided: Decider | None = None  # of the last insertion: the next one may continue with its object
     _tried_n: int = 0  # attempts with that object so far
     ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
+    closing: threading.Thread | None = None  # keeps the insertion that ended last
     _calibration_text: str = field(init=False)
     _gels: dict[Finger, str] = field(init=False)
     charts: Charts = field(init=False)
@@ -246,8 +247,10 @@ class InsertionManager:
         self._tried_n = insertion.tried_n + descended_n(finished.cause, finished.attempts, finished.doubts)
         while len(self.ended) > REMEMBERED_N:
             self.ended.popitem(last=False)
-
-        threading.Thread(target=self._keep, args=([insertion], finished), name="close-recording").start()
+        self.closing = threading.Thread(  # not a daemon, as its maker is: it would be cut off at the process's end
+            target=self._keep, args=([insertion], finished), name="close-recording", daemon=False
+        )
+        self.closing.start()
 
     def _keep(self, ended: list[Insertion], finished: wire.Finished) -> None:
         """Close an ended insertion's recording, inform its client, and free its memory."""

@@ -117,6 +117,8 @@ class Station:
         self.post(lambda: self.manager.abort("service", "service stops"))
         self._inbox.put(None)
         self._thread.join(10.0)
+        if self.manager.closing:  # before the locks are given up
+            self.manager.closing.join()
         for camera in self.cameras.values():
             camera.stop()
         self._networks.shutdown()
