@@ -61,9 +61,11 @@ class Link:
         self._waiting[command] = replies
         self._writer.write(codec.encode_request(command, *values))
         try:
-            reply = await asyncio.wait_for(replies.get(), self.settings.reply_timeout_s)
+            async with asyncio.timeout(self.settings.reply_timeout_s):
+                reply = await replies.get()
             if reply.status is Status.CMD_PENDING:
-                reply = await asyncio.wait_for(replies.get(), self.settings.motion_timeout_s)
+                async with asyncio.timeout(self.settings.motion_timeout_s):
+                    reply = await replies.get()
         except TimeoutError:
             raise GripperError(f"gripper: {command.name}: no reply in time") from None
         finally:

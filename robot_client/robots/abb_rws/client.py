@@ -209,9 +209,9 @@ class RwsClient:
 
     async def _exchange(self, method: str, path: str, **more: Any) -> httpx.Response:
         try:
-            bounded = self._client.request(method, path, **more)
             # httpx bounds each network operation; this bounds the whole exchange, digest round included
-            return await asyncio.wait_for(bounded, 2.0 * self.settings.request_timeout_s)
+            async with asyncio.timeout(2.0 * self.settings.request_timeout_s):
+                return await self._client.request(method, path, **more)
         except Exception as error:  # not only HTTP errors: a challenge unknown to httpx is a KeyError
             text = f"{method} {path}: {type(error).__name__} {error}".rstrip()
             raise RwsError(text + _advice(error, self.settings.url)) from None

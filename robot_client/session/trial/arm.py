@@ -118,8 +118,9 @@ class ArmTrial:
 
     async def _next(self, order: str, within_s: float) -> Event:
         try:
-            while isinstance(event := await asyncio.wait_for(self._events.get(), within_s), Stood):
-                pass
+            async with asyncio.timeout(within_s):
+                while isinstance(event := await self._events.get(), Stood):
+                    pass
         except TimeoutError:
             raise DriverError(f"{order}: no event followed within {within_s:.1f} s") from None
         return event

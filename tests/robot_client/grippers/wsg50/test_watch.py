@@ -60,3 +60,18 @@ async def test_a_client_that_is_stopped_while_it_connects_says_that_it_leaves():
         while cell.emulator.connection is not None:  # noqa: ASYNC110
             await asyncio.sleep(0.001)
     assert cell.emulator.counters.fast_stops_by_disconnect == 0
+
+
+@pytest.mark.parametrize("turns", range(8))
+async def test_an_interrupt_that_comes_together_with_a_reply_is_not_lost(turns):
+    """Else the fingers would close after it."""
+    async with bench(present=False, holding=False) as cell:
+        await cell.driver.connect()
+        closing = asyncio.create_task(cell.driver.finds_nothing())
+        while "SET_FORCE_LIMIT" not in cell.asked:
+            await asyncio.sleep(0)
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        closing.cancel()
+        await asyncio.wait([closing])
+        assert closing.cancelled()

@@ -1,6 +1,7 @@
 """The backup stop ends in words, whatever the controller answers."""
 
 import asyncio
+import itertools
 import time
 
 import httpx
@@ -154,16 +155,42 @@ def test_a_controller_that_does_not_follow_an_order_is_given_up_once_its_time_is
 @pytest.mark.parametrize(("took_s", "given_up"), [(1.8, False), (2.2, True)])
 def test_an_exchange_may_take_twice_the_time_of_one_request(took_s, given_up, monkeypatch):
     """As with digest access, where a refusal comes first. On a clock that runs as the test says."""
+    bounded = asyncio.timeout
 
-    async def on_time(work, most_s):
-        if most_s < took_s * 0.1:
-            work.close()
-            raise TimeoutError
-        return await work
+    async def answer(_request):
+        await asyncio.sleep(0.01)
+        return httpx.Response(200, json={"_embedded": {"_state": [{"ctrlexecstate": "stopped"}]}})
 
-    monkeypatch.setattr("robot_client.robots.abb_rws.client.asyncio.wait_for", on_time)
-    answer = asked(RwsClient.execution, request_timeout_s=0.1)
-    assert (answer == "stopped") == (not given_up)
+    def on_time(most_s):
+        return bounded(0.0 if most_s < took_s * 0.1 else None)
+
+    monkeypatch.setattr("robot_client.robots.abb_rws.client.asyncio.timeout", on_time)
+    assert (asked(RwsClient.execution, answer=answer, request_timeout_s=0.1) == "stopped") == (not given_up)
+
+
+def test_an_interrupt_at_any_moment_of_a_start_is_not_lost():
+    """It may come together with an answer, and the program must not be started after it."""
+
+    async def interrupted(client, after_turns):
+        starting = asyncio.create_task(client.start_program())
+        for _ in range(after_turns):
+            await asyncio.sleep(0)
+        started = starting.done()
+        starting.cancel()
+        await asyncio.wait([starting])
+        return started, starting.cancelled()
+
+    def answer(request):
+        state["ctrlexecstate"] = "running" if request.method == "POST" and "start" in str(request.url) else "stopped"
+        return httpx.Response(200, json={"_embedded": {"_state": [state]}})
+
+    for after_turns in itertools.count():
+        state = {"opmode": "AUTO", "ctrlstate": "motoron", "speedratio": "100", "ctrlexecstate": "stopped"}
+        started, cancelled = asked(lambda client, turns=after_turns: interrupted(client, turns), answer=answer)
+        if started:
+            break
+        assert cancelled, f"after {after_turns} turns of the loop"
+    assert after_turns > 5
 
 
 def test_only_a_lost_connection_over_http_is_answered_with_the_other_generations_address():
