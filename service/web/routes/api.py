@@ -62,6 +62,10 @@ def router(station: Station, access: Access) -> APIRouter:
     watch, drive = [access.require("watch")], [access.require("drive")]
     deciding = asyncio.Lock()
 
+    def refuse_while_busy() -> None:
+        if station.active is not None or deciding.locked():
+            raise HTTPException(409, "busy: an insertion is under way, or another sequence is being decided")
+
     @routes.get("/models", dependencies=watch)
     async def models() -> Models:
         return Models(models=station.models.entries)
@@ -82,10 +86,10 @@ def router(station: Station, access: Access) -> APIRouter:
 
         Networks that read depth need the speed of the descent. Not while an insertion is under way.
         """
-        if station.active is not None or deciding.locked():
-            raise HTTPException(409, "busy: an insertion is under way, or another sequence is being decided")
+        refuse_while_busy()
         async with whole_body(request, MAX_BODY_BYTES) as body:
             pairs = _pairs(body, station)
+        refuse_while_busy()  # reading it took time
         async with deciding:
             answer = await asyncio.to_thread(partial(decide, station.models, pairs, **conditions.model_dump()))
         return Estimated.model_validate(answer.model_dump(include=set(Estimated.model_fields)))

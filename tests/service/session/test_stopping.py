@@ -35,12 +35,13 @@ def test_a_service_that_stops_waits_until_the_insertion_under_way_is_kept(tmp_pa
 
     station.hub.subscribe(look)
     insertion = station.active
-    assert insertion and insertion.recorder
+    assert insertion
+    assert insertion.recorder
     insertion.recorder.work_out("/beside", lambda: time.sleep(SLOW_S) or {}, time.monotonic_ns())
     station.stop()
     assert kept == [("service", True)], "while the folder is still this service's own"
     listed, problems = list_recordings(station.settings.recordings)
     assert ([one["insertion_id"] for one in listed], problems) == (["cut"], [])
     assert Path(str(insertion.session.recording)).is_file()
-    closing = station.manager.closing
-    assert closing and not closing.daemon, "an end of the process would cut it off"
+    assert station.manager.closing
+    assert not station.manager.closing.daemon, "an end of the process would cut it off"

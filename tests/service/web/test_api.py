@@ -1,6 +1,7 @@
 import json
 import time
 import tomllib
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -84,6 +85,21 @@ def sequence(first: int, last: int, period_ns: int = drawn.PERIOD_NS) -> bytes:
         for i in range(first, last)
         for finger in ("left", "right")
     )
+
+
+def test_a_sequence_is_not_decided_in_an_insertion_that_began_while_it_was_read(live: LiveService) -> None:
+    def slowly(whole: bytes) -> Iterator[bytes]:
+        yield whole[:1000]
+        drivers.append(Driver(live, "meanwhile"))
+        drivers[0].until("hello")
+        yield whole[1000:]
+
+    drivers: list[Driver] = []
+    answer = httpx.post(live.url("/v1/decisions"), content=slowly(sequence(2, 22)), headers=live.bearer, timeout=60)
+    assert (answer.status_code, answer.json()["error"][:5]) == (409, "busy:")
+    drivers[0].send(wire.Abort(insertion_id="meanwhile", cause="operator", reason="done"))
+    drivers[0].until("finished")
+    drivers[0].close()
 
 
 def test_a_recorded_sequence_is_decided_over_http_as_an_insertion_decides_it(live: LiveService) -> None:

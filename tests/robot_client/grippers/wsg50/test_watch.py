@@ -68,7 +68,7 @@ async def test_an_interrupt_that_comes_together_with_a_reply_is_not_lost(turns):
     async with bench(present=False, holding=False) as cell:
         await cell.driver.connect()
         closing = asyncio.create_task(cell.driver.finds_nothing())
-        while "SET_FORCE_LIMIT" not in cell.asked:
+        while "SET_FORCE_LIMIT" not in cell.asked:  # noqa: ASYNC110
             await asyncio.sleep(0)
         for _ in range(turns):
             await asyncio.sleep(0)
