@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import os
 import signal
 import sys
 from functools import partial
@@ -111,11 +112,11 @@ def _take_orders(pace: Pace) -> None:
         show(pace.order(word))
 
     def read() -> None:
-        line = ""
+        typed = b""
         with contextlib.suppress(OSError):  # in the background the terminal is the shell's
-            line = sys.stdin.readline()
-        if line:
-            order(line)
+            typed = os.read(sys.stdin.fileno(), 4096)  # after Ctrl-D no line's end comes, and the arm cannot wait
+        if typed:
+            order(typed.decode(errors="replace"))
         else:
             loop.remove_reader(sys.stdin)
 

@@ -54,6 +54,38 @@ def test_in_the_background_of_a_shell_in_which_somebody_types_it_goes_on():
     os.close(master)
 
 
+TYPED = """
+import asyncio
+from robot_client.cli.cycle import _take_orders
+from robot_client.session.cycle import Pace
+async def story():
+    pace = Pace()
+    _take_orders(pace)
+    print("ready", flush=True)
+    while not pace.ending:
+        await asyncio.sleep(0.05)
+    print("ended", flush=True)
+asyncio.run(story())
+"""
+
+
+def test_a_half_typed_order_does_not_keep_the_event_loop_from_guiding_the_arm():
+    master, slave = pty.openpty()
+    with subprocess.Popen([sys.executable, "-c", TYPED], stdin=slave, stdout=slave, stderr=slave) as client:
+        os.close(slave)
+        printed = b""
+        while b"ready" not in printed:
+            printed += os.read(master, 4096)
+        os.write(master, b"pa\x04")
+        while b"expected pause, resume or stop" not in printed:
+            printed += os.read(master, 4096)
+        os.write(master, b"stop\n")
+        while b"ended" not in printed:
+            printed += os.read(master, 4096)
+        assert client.wait(60) == 0
+    os.close(master)
+
+
 def test_a_pause_that_is_sent_twice_does_not_resume(capsys):
     async def story():
         pace, states = Pace(), []
