@@ -66,14 +66,15 @@ class Errands:
                     raise asyncio.CancelledError
                 arm.move(corner, motion)
                 wait_s = 1.5 * self.ramps.duration_s(here, corner, motion) + self.motion_s
-                async with asyncio.timeout(wait_s):
-                    event = await events.get()
+                event = await asyncio.wait_for(events.get(), wait_s)
                 if isinstance(event, Failure):
                     raise DriverError(f"{event.source}: {event.code}: {event.detail}")
                 if not isinstance(event, Arrived):
                     raise DriverError(f"robot: answered a move with {event.kind}, expected arrived")
                 _check_arrived(corner, event.pose)
                 here = event.pose
+            if was_cancelled():
+                raise asyncio.CancelledError
         except TimeoutError:
             raise DriverError("robot: the arm did not arrive in time") from None
         except asyncio.CancelledError:

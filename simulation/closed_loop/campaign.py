@@ -3,12 +3,14 @@
 A log is valid only for the networks, the physics, the service and the client that produced it: `claim` refuses others.
 """
 
+import fcntl
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from reporting.files import read_rows, write_durably
 from simulation.data.parallel import results
@@ -100,22 +102,31 @@ def _setup(path: Path) -> dict[str, str]:
 
 
 def run(tasks: Sequence[Task], log: Path, *, workers: int = 0, ray: str = "", title: str = "insertions") -> list[Row]:
-    """Play what the log lacks, with progress and ETA; returns the row of each of ``tasks`` once, in their order."""
+    """Play what the log lacks, with progress and ETA; returns the row of each of ``tasks`` once, in their order.
+
+    Raises ValueError if another process plays into the log: it would play the same insertions again.
+    """
     wanted = {task.key: task for task in tasks}
-    rows = {key: row for row in read_rows(log) if (key := key_of(row)) in wanted and wanted[key].made(row)}
-    missing = [task for key, task in wanted.items() if key not in rows]
-    _end_line(log)
-    with log.open("a", encoding="utf-8") as file, progress(f"{title} (simulated)", len(missing)) as show:
-        for done, row in enumerate(results(play, missing, workers, ray), 1):
-            rows[key_of(row)] = row
-            file.write(json.dumps(row) + "\n")
-            file.flush()
-            show(done)
+    with _extended(log) as file:
+        rows = {key: row for row in read_rows(log) if (key := key_of(row)) in wanted and wanted[key].made(row)}
+        missing = [task for key, task in wanted.items() if key not in rows]
+        with progress(f"{title} (simulated)", len(missing)) as show:
+            for done, row in enumerate(results(play, missing, workers, ray), 1):
+                rows[key_of(row)] = row
+                file.write(json.dumps(row) + "\n")
+                file.flush()
+                show(done)
     return [rows[key] for key in wanted]
 
 
-def _end_line(log: Path) -> None:
-    """End a last line that a kill has cut, so that the next row starts on its own line."""
-    if log.exists() and log.stat().st_size and not log.read_bytes().endswith(b"\n"):
-        with log.open("a", encoding="utf-8") as file:
+@contextmanager
+def _extended(log: Path) -> Iterator[TextIO]:
+    """The log, to be added to by this process alone; the next row starts on its own line."""
+    with log.open("a", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"{log}: another process plays into it; expected its end, or another folder") from None
+        if log.stat().st_size and not log.read_bytes().endswith(b"\n"):  # a kill has cut the last one
             file.write("\n")
+        yield file

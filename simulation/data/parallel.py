@@ -39,8 +39,8 @@ def _in_processes(
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # one process per core; more threads would only compete
     pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _die_with_parent)
-    futures = [pool.submit(work, item) for item in items]
     try:
+        futures = [pool.submit(work, item) for item in items]
         yield from (future.result() for future in (futures if in_order else as_completed(futures)))
     except BaseException:  # on an interruption too: do not wait for unfinished work
         for process in list((pool._processes or {}).values()):  # noqa: SLF001 (no public way to stop a busy worker)

@@ -135,6 +135,7 @@ def adapt(
     from reporting.files import write_json
     from training.adapt.adapt import adapt as fit
     from training.adapt.adapt import report as plain_data
+    from training.config import alone_in
 
     if not 0 <= seed < 2**32:
         raise ContractError(f"--seed {seed}: expected 0 to {2**32 - 1}")
@@ -143,7 +144,8 @@ def adapt(
     for folder in (out, *([json.parent] if json else [])):
         folder.mkdir(parents=True, exist_ok=True)  # now: the fit takes minutes
     torch.set_num_threads(1)
-    comparison = fit(recordings, start, out, around=around, record=record, seed=seed)
+    with alone_in(out):
+        comparison = fit(recordings, start, out, around=around, record=record, seed=seed)
     print(comparison.text())
     if json is not None:
         write_json(json, plain_data(comparison))

@@ -87,6 +87,20 @@ def test_a_disturbance_that_was_changed_is_played_again_and_nothing_counts_twice
     assert len(read_rows(tmp_path / "log")) == 2
 
 
+def test_two_processes_do_not_play_the_same_insertions_into_one_log(tmp_path, monkeypatch):
+    tasks = [campaign.Task(tmp_path, {"scene": "circle", "seed": 1})]
+
+    def play(task):
+        with pytest.raises(ValueError, match="log: another process plays into it"):
+            campaign.run(tasks, tmp_path / "log", workers=1)
+        return dict(task.job)
+
+    monkeypatch.setattr(campaign, "play", play)
+    for _ in range(2):
+        assert campaign.run(tasks, tmp_path / "log", workers=1) == [dict(tasks[0].job)]
+    assert len(read_rows(tmp_path / "log")) == 1
+
+
 @pytest.mark.slow
 def test_a_killed_run_goes_on_where_it_was(models, tmp_path):
     rows = tmp_path / "rows.json"

@@ -1,5 +1,6 @@
 """Each piece of work is done once, in order if requested, and nothing waits for work that a failure made useless."""
 
+import multiprocessing
 import time
 
 import pytest
@@ -33,6 +34,22 @@ def test_a_failure_ends_the_others_at_once():
     with pytest.raises(ArithmeticError, match="the first fails"):
         list(results(fail_or_sleep, range(4), 2))
     assert time.monotonic() - began < 45.0
+
+
+class Interrupted(list[int]):
+    """Ctrl-C comes while the items are handed to the workers."""
+
+    def __iter__(self):
+        yield 1
+        raise KeyboardInterrupt
+
+
+def test_an_interrupt_at_the_very_beginning_leaves_no_worker():
+    with pytest.raises(KeyboardInterrupt):
+        list(results(fail_or_sleep, Interrupted([1, 2]), 2))
+    for worker in multiprocessing.active_children():
+        worker.join(20.0)
+    assert not multiprocessing.active_children()
 
 
 def test_a_negative_number_of_processes_is_named():

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from export.cli.commands import main as export_main
+from reporting.files import locked
 from service.contract import ContractError, Sensor
 from simulation.data.manifest import MANIFEST, ShardEntry
 from tests.simulation.strategies import made_up_dataset, made_up_trial
@@ -183,6 +184,13 @@ def test_the_comparison_of_an_adaptation_is_written_into_a_new_folder(tmp_path):
     words = ["adapt", recorded(tmp_path / "few", 7), "--from", "models/pressing/checkpoint.pt"]
     assert main([*map(str, words), "--out", str(tmp_path / "out"), "--json", str(compared)]) == 3
     assert json.loads(compared.read_text())["accepted"] is False
+
+
+def test_two_adaptations_do_not_write_one_checkpoint(tmp_path, capsys):
+    words = ["adapt", str(tmp_path), "--from", "models/pressing/checkpoint.pt", "--out", str(tmp_path)]
+    with locked(tmp_path):
+        assert main(words) == 2
+    assert f"{tmp_path}: another process is training there" in capsys.readouterr().err
 
 
 def test_what_would_lose_an_adaptation_at_its_end_is_refused_before_it(tmp_path, monkeypatch, capsys):
