@@ -86,13 +86,13 @@ class InsertionManager:
     @property
     def recording_problem(self) -> str:
         """What keeps insertions from being recorded now; "" if nothing does, whatever befell the last one."""
-        recorder = self.active.recorder if self.active else None
+        recorder = active.recorder if (active := self.active) else None  # asked by other threads
         return (_lacks(recorder, recorder.error) if recorder else "") or problem_of(self.settings.recordings)
 
     @property
     def unrecorded(self) -> str:
         """What the recording under way, else the last one, lacks, or what keeps the next from being made; or ""."""
-        recorder = self.active.recorder if self.active else None
+        recorder = active.recorder if (active := self.active) else None  # asked by other threads
         return (_lacks(recorder, recorder.problem) if recorder else "") or self._unrecorded or self.recording_problem
 
     def _note_recorded(self, problem: str) -> None:

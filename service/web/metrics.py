@@ -1,5 +1,6 @@
 """Prometheus metrics, fed by the hub."""
 
+import asyncio
 import time
 from functools import partial
 from typing import Any, get_args
@@ -72,17 +73,21 @@ class Metrics:
         left_out.set_function(lambda: station.manager.frames_unrecorded_n)
         ready.set_function(lambda: float(station.ready))
         self._counted: dict[Finger, int] = {}
-        self._text, self._made_ns = b"", -_NEWEST_NS
+        self._text, self._made_ns, self._making = b"", -_NEWEST_NS, asyncio.Lock()
         station.hub.subscribe(self._on_event)
 
     def _age_s(self, finger: Finger) -> float:
         newest_ns = self._station.cameras[finger].newest_ns
         return float("nan") if newest_ns is None else (now_ns() - newest_ns) * 1e-9
 
-    def exposition(self) -> tuple[bytes, str]:
-        """The text Prometheus scrapes, and its content type; at most ten a second are made, since each takes 1 ms."""
-        if now_ns() - self._made_ns > _NEWEST_NS:
-            self._text, self._made_ns = self._made(), now_ns()
+    async def exposition(self) -> tuple[bytes, str]:
+        """The text Prometheus scrapes, and its content type; at most ten a second are made, since each takes 1 ms.
+
+        They are made in a thread, as the disk of the recordings may be slow to tell how much room it has.
+        """
+        async with self._making:
+            if now_ns() - self._made_ns > _NEWEST_NS:
+                self._text, self._made_ns = await asyncio.to_thread(self._made), now_ns()
         return self._text, CONTENT_TYPE_LATEST
 
     def _made(self) -> bytes:

@@ -1,5 +1,7 @@
 """Liveness, readiness and metrics."""
 
+import asyncio
+
 from fastapi import APIRouter, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 
@@ -20,7 +22,7 @@ class Readiness(Contract):
 
 def router(station: Station, metrics: Metrics) -> APIRouter:
     """Routes ``/healthz`` (the loop runs), ``/readyz`` (cameras live, recordings kept), ``/metrics`` (Prometheus)."""
-    routes = APIRouter(tags=["health"])
+    routes, asking = APIRouter(tags=["health"]), asyncio.Lock()
 
     @routes.get("/healthz")
     async def healthz() -> dict[str, str]:
@@ -34,14 +36,15 @@ def router(station: Station, metrics: Metrics) -> APIRouter:
     async def readyz() -> JSONResponse:
         cameras = {finger: camera.state for finger, camera in station.cameras.items()}
         faults = {f: camera.last_fault for f, camera in station.cameras.items() if camera.state != "live"}
-        problem = station.manager.recording_problem
+        async with asking:  # a disk that hangs keeps one thread, and never the messages to the robot
+            problem = await asyncio.to_thread(lambda: station.manager.recording_problem)
         ready = station.ready and not problem
         content = {"ready": ready, "cameras": cameras, "faults": faults, "recording": problem or "ok"}
         return JSONResponse(content, 200 if ready else 503)
 
     @routes.get("/metrics", response_class=PlainTextResponse)
     async def exposition() -> Response:
-        content, kind = metrics.exposition()
+        content, kind = await metrics.exposition()
         return Response(content, media_type=kind)
 
     return routes

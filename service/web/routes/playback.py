@@ -32,12 +32,12 @@ def router(station: Station, access: Access) -> APIRouter:
     @routes.get("/timeline")
     async def curves(name: str) -> dict[str, Any]:
         """Slip, push and depth over time, what happened, and the moments that can be looked at."""
-        return await reading(timeline, file_of(name))
+        return await reading(lambda: timeline(file_of(name)))
 
     @routes.get("/moments/{finger}/{at_ns}")
     async def felt(name: str, finger: Finger, at_ns: int) -> dict[str, Any]:
         """What a finger felt at a moment: its picture, its markers, which of them slip."""
-        return await reading(moment, file_of(name), finger, at_ns)
+        return await reading(lambda: moment(file_of(name), finger, at_ns))
 
     @routes.post("/decide", responses={504: {"description": f"not decided within {AGAIN_S:g} s"}})
     async def decide_again(name: str) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Finished insertions under /v1/recordings: listed, downloaded, played back, removed."""
 
-import asyncio
 import shutil
 from pathlib import Path
 
@@ -78,14 +77,14 @@ def router(station: Station, access: Access) -> APIRouter:
         return Response(await reading(_list, root, insertion_id), media_type="application/json")
 
     @routes.get("/{name}", dependencies=watch, response_class=Mcap)
-    async def recording(name: str) -> Mcap:
+    def recording(name: str) -> Mcap:
         return Mcap(recording_file(root, name), filename=f"{name}.mcap")
 
     @routes.delete("/{name}", dependencies=admin)
-    async def remove(name: str) -> dict[str, str]:
+    def remove(name: str) -> dict[str, str]:
         folder = recording_folder(root, name)
         try:
-            await asyncio.to_thread(shutil.rmtree, folder)
+            shutil.rmtree(folder)
         except OSError as error:  # read only, or two remove it at once
             raise HTTPException(409, f"recording {name} cannot be removed: {error.strerror}") from None
         return {"removed": name}

@@ -1,14 +1,18 @@
-"""Those who look back at recordings leave the processor to an insertion that is under way."""
+"""Those who look back at recordings leave the processor to an insertion that is under way, and so do slow disks."""
 
 import asyncio
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
+import httpx
 import pytest
 
 from service.web.reading import Reading
+from tests.service.conftest import LiveService
 
 READ_S = 0.02
 
@@ -37,3 +41,26 @@ async def test_a_recording_that_cannot_be_read_is_refused_as_ever() -> None:
     station: Any = SimpleNamespace(active=object())
     with pytest.raises(ValueError, match="no recording"):
         await Reading(station)(broken)
+
+
+def test_a_disk_that_does_not_answer_keeps_nobody_else_waiting(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Prometheus asks for its state every five seconds, and messages to the robot go the same way."""
+    asked, answers = threading.Event(), threading.Event()
+
+    def room(_: object) -> str:
+        asked.set()
+        answers.wait(60)
+        return ""
+
+    monkeypatch.setattr("service.session.manager.problem_of", room)
+    with ThreadPoolExecutor() as those:
+        waiting = [those.submit(httpx.get, live.url(path), timeout=90) for path in ("/metrics", "/readyz")]
+        try:
+            assert asked.wait(30)
+            assert httpx.get(live.url("/healthz"), timeout=30).status_code == 200
+            assert not any(one.done() for one in waiting)
+        finally:
+            answers.set()
+        assert [one.result().status_code for one in waiting] == [200, 200]
