@@ -67,7 +67,8 @@ class EgmArm:
         try:
             if self.rws is not None:
                 await self.rws.start_program()
-            await asyncio.wait_for(self._ready.wait(), self.settings.ready_timeout_s)
+            async with asyncio.timeout(self.settings.ready_timeout_s):
+                await self._ready.wait()
         except RwsError as error:
             raise DriverError(f"robot: {error}") from None
         except TimeoutError:

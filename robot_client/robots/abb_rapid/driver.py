@@ -156,9 +156,9 @@ class SocketArm:
         """A RAPID server may need a moment after the start before it listens."""
         deadline_s = time.monotonic() + self.settings.connect_timeout_s
         while True:
-            opening = asyncio.open_connection(self.settings.host, port)
             try:
-                return await asyncio.wait_for(opening, self.settings.connect_timeout_s)
+                async with asyncio.timeout(self.settings.connect_timeout_s):
+                    return await asyncio.open_connection(self.settings.host, port)
             except (OSError, TimeoutError) as error:
                 if time.monotonic() > deadline_s:
                     where = f"{self.settings.host}:{port}"

@@ -65,6 +65,27 @@ def test_a_controller_whose_guidance_does_not_run_yet_is_answered_with_where_it_
     assert answers_to(0.0, mc_state=mc_state, motors_on=False)[0] == answers_to(0.0, mc_state="error")[0] == []
 
 
+@pytest.mark.parametrize("turns", range(5))
+async def test_an_interrupt_that_comes_together_with_the_first_datagram_is_not_lost(turns):
+    """Else `try arm` would move it afterwards."""
+    arm = EgmArm(Settings(port=0, bind="127.0.0.1"), Limits(), Ramps())
+    starting = asyncio.create_task(arm.start([].append))
+    while arm._socket is None:  # noqa: ASYNC110
+        await asyncio.sleep(0)
+    state = codec.RobotState(0, 0, codec.Pose(5.0, 0.0, 60.0, 0.0, 1.0, 0.0, 0.0))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
+        robot.sendto(codec.encode_robot(state), arm._socket.getsockname())
+        while not arm._ready.is_set():
+            await asyncio.sleep(0)
+    for _ in range(turns):
+        await asyncio.sleep(0)
+    done = starting.done()
+    starting.cancel()
+    await asyncio.wait([starting])
+    await arm.close()
+    assert starting.cancelled() == (not done)
+
+
 @pytest.mark.parametrize(("tilt_deg", "held"), [(0.0, False), (1.9, False), (2.1, True), (25.0, True)])
 async def test_a_guided_arm_takes_no_motion_once_its_tool_tilts_beyond_the_limit(tilt_deg, held):
     arm, posted = EgmArm(Settings(), Limits(), Ramps()), []
