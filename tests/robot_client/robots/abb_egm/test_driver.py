@@ -70,12 +70,11 @@ async def test_an_interrupt_that_comes_together_with_the_first_datagram_is_not_l
     """Else `try arm` would move it afterwards."""
     arm = EgmArm(Settings(port=0, bind="127.0.0.1"), Limits(), Ramps())
     starting = asyncio.create_task(arm.start([].append))
-    while arm._socket is None:  # noqa: ASYNC110
-        await asyncio.sleep(0)
+    await asyncio.sleep(0)
     state = codec.RobotState(0, 0, codec.Pose(5.0, 0.0, 60.0, 0.0, 1.0, 0.0, 0.0))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
         robot.sendto(codec.encode_robot(state), arm._socket.getsockname())
-        while not arm._ready.is_set():
+        while not arm._ready.is_set():  # noqa: ASYNC110
             await asyncio.sleep(0)
     for _ in range(turns):
         await asyncio.sleep(0)

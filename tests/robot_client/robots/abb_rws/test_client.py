@@ -1,7 +1,6 @@
 """The backup stop ends in words, whatever the controller answers."""
 
 import asyncio
-import itertools
 import time
 
 import httpx
@@ -170,27 +169,30 @@ def test_an_exchange_may_take_twice_the_time_of_one_request(took_s, given_up, mo
 
 def test_an_interrupt_at_any_moment_of_a_start_is_not_lost():
     """It may come together with an answer, and the program must not be started after it."""
+    state = {"opmode": "AUTO", "ctrlstate": "motoron", "speedratio": "100"}
 
-    async def interrupted(client, after_turns):
-        starting = asyncio.create_task(client.start_program())
-        for _ in range(after_turns):
-            await asyncio.sleep(0)
-        started = starting.done()
-        starting.cancel()
-        await asyncio.wait([starting])
-        return started, starting.cancelled()
-
-    def answer(request):
-        state["ctrlexecstate"] = "running" if request.method == "POST" and "start" in str(request.url) else "stopped"
+    async def answer(request):
+        await asyncio.sleep(0)
+        if request.url.params.get("action") == "start":
+            state["ctrlexecstate"] = "running"
         return httpx.Response(200, json={"_embedded": {"_state": [state]}})
 
-    for after_turns in itertools.count():
-        state = {"opmode": "AUTO", "ctrlstate": "motoron", "speedratio": "100", "ctrlexecstate": "stopped"}
-        started, cancelled = asked(lambda client, turns=after_turns: interrupted(client, turns), answer=answer)
-        if started:
-            break
-        assert cancelled, f"after {after_turns} turns of the loop"
-    assert after_turns > 5
+    async def interrupted(client, turns):
+        state["ctrlexecstate"] = "stopped"
+        starting = asyncio.create_task(client.start_program())
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        done = starting.done()
+        starting.cancel()
+        await asyncio.wait([starting])
+        return done, starting.cancelled()
+
+    async def at_every_turn(client):
+        return [await interrupted(client, turns) for turns in range(60)]
+
+    ends = asked(at_every_turn, answer=answer)
+    assert (ends[0], ends[-1]) == ((False, True), (True, False))
+    assert all(cancelled != done for done, cancelled in ends)
 
 
 def test_only_a_lost_connection_over_http_is_answered_with_the_other_generations_address():
