@@ -1,6 +1,7 @@
 """Looking at a finished insertion under /v1/recordings: its curves, its moments, and whether it is decided the same."""
 
 import asyncio
+import contextlib
 import os
 import sys
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from service.web.routes.recordings import recording_file
 
 AGAIN_S = 120.0
 LOOK_S = 0.1
+POLITELY = 10  # less of the processor than the service
 MOST_AGAIN_BYTES = 320_000_000  # beside the service, within the memory that its unit is given
 
 
@@ -66,9 +68,9 @@ async def _replayed(path: Path, models: Path, busy: Callable[[], bool]) -> dict[
     """
     command = (sys.executable, "-m", "service", "replay", str(path), "--models", str(models))
     pipe = asyncio.subprocess.PIPE
-    process = await asyncio.create_subprocess_exec(
-        *command, stdout=pipe, stderr=asyncio.subprocess.STDOUT, preexec_fn=_politely
-    )
+    process = await asyncio.create_subprocess_exec(*command, stdout=pipe, stderr=asyncio.subprocess.STDOUT)
+    with contextlib.suppress(ProcessLookupError):  # from here: to do it there, all threads would wait for a whole fork
+        os.setpriority(os.PRIO_PROCESS, process.pid, os.getpriority(os.PRIO_PROCESS, 0) + POLITELY)
     output = asyncio.create_task(process.communicate())
     try:
         async with asyncio.timeout(AGAIN_S):
@@ -89,7 +91,3 @@ async def _replayed(path: Path, models: Path, busy: Callable[[], bool]) -> dict[
 def _too_large(bytes_n: int) -> str:
     sizes = f"fills {bytes_n / 1e6:.0f} MB, and at most {MOST_AGAIN_BYTES / 1e6:.0f} MB are taken from this machine"
     return f"the recording {sizes}: download it and use `tactile-insertion replay` on another one"
-
-
-def _politely() -> None:
-    os.nice(10)

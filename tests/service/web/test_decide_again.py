@@ -1,5 +1,6 @@
 """Deciding a recorded insertion again, from the page or the API: with which networks, and how large a one."""
 
+import os
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -68,6 +69,8 @@ def test_an_insertion_that_begins_ends_what_is_being_decided_again(
         answer = beside.submit(decided_again, live, path)
         while not (tmp_path / "number").is_file() or not (number := (tmp_path / "number").read_text().strip()):
             time.sleep(0.05)
+        time.sleep(0.2)
+        assert os.getpriority(os.PRIO_PROCESS, int(number)) > os.getpriority(os.PRIO_PROCESS, 0)
         driver = Driver(live, "next")
         driver.until("hello")
         refused = answer.result(30)
