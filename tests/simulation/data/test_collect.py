@@ -176,8 +176,8 @@ def test_kill_9_loses_nothing_and_doubles_nothing(made: Path, tmp_path: Path, wa
     assert digests(tmp_path) == digests(made)
     assert read_manifest(tmp_path) == read_manifest(made)
     assert not list(tmp_path.glob(".*.tmp"))
-    labels = Dataset(tmp_path).labels
-    assert len(set(zip(labels["group"], labels["poke"], strict=True))) == len(labels["x_mm"]) == 6
+    trials = [Dataset(tmp_path).trial(index) for index in range(len(Dataset(tmp_path)))]
+    assert len({(trial.group, trial.poke) for trial in trials}) == len(trials) == 6
 
 
 def test_a_finished_collection_is_left_as_it_is(made: Path) -> None:
