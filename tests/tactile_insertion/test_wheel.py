@@ -1,5 +1,7 @@
 """The wheel works alone: installed into a fresh environment, run from an empty folder."""
 
+import importlib
+import runpy
 import subprocess
 import sys
 import sysconfig
@@ -8,8 +10,10 @@ import venv
 from pathlib import Path
 
 import pytest
+from google.protobuf import runtime_version
 
 ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
 @pytest.fixture(scope="module")
@@ -31,11 +35,27 @@ def installed(tmp_path_factory):
 
 def test_what_the_wheel_carries_beside_the_code_are_files():
     """A pattern that takes in a folder breaks every build."""
-    carried = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["data-files"]
+    carried = PROJECT["tool"]["setuptools"]["data-files"]
     for pattern in (pattern for patterns in carried.values() for pattern in patterns):
         paths = list(ROOT.glob(pattern))
         assert paths, pattern
         assert all(path.is_file() for path in paths), pattern
+
+
+@pytest.mark.parametrize(
+    ("extra", "generated"),
+    [
+        ("service", "foxglove_schemas_protobuf.RawImage_pb2"),
+        ("robot", "robot_client.robots.abb_egm.tactile_insertion_egm_pb2"),
+    ],
+)
+def test_generated_code_runs_with_the_lowest_protobuf_allowed(extra, generated, monkeypatch):
+    """Foxglove's package asks for 3.20 and refuses what is older than its generator, so the bound is ours to state."""
+    code = importlib.import_module(generated).__file__  # what it imports in turn is protobuf's own, as installed
+    (lowest,) = (line for line in PROJECT["project"]["optional-dependencies"][extra] if line.startswith("protobuf>="))
+    for part, number in zip(("MAJOR", "MINOR", "PATCH"), lowest.removeprefix("protobuf>=").split("."), strict=True):
+        monkeypatch.setattr(runtime_version, part, int(number))
+    assert "DESCRIPTOR" in runpy.run_path(code)
 
 
 def run(python, folder, *words):
@@ -50,6 +70,17 @@ def test_the_wheel_brings_its_models_objects_and_configurations(installed, tmp_p
     assert run(installed, tmp_path, "explain", "rectangle").returncode == 0
     probe = run(installed, tmp_path, "probe", "rectangle", "--x-mm", "8", "--theta-deg", "5")
     assert probe.returncode == 0, probe.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_what_a_driver_of_your_own_imports_is_typed(installed, tmp_path):
+    """Without a mark, the types of a port are those of anything: they rest on the contract's."""
+    code = "import service, robot_client; print(*service.__path__, *robot_client.__path__, sep='\\n')"
+    told = subprocess.run([installed, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True, timeout=60)
+    folders = told.stdout.splitlines()
+    assert len(folders) == 2
+    assert all(Path(folder, "py.typed").is_file() for folder in folders)
 
 
 @pytest.mark.slow
