@@ -61,11 +61,13 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"no command {name!r}: expected one of {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
     from service.contract.text import read_by_somebody
+    from simulation import compile_cache
     from simulation.scene.state import PhysicsError
 
     module, function = COMMANDS[name][0].split(":")
-    run: Callable[[list[str]], int] = getattr(importlib.import_module(f"simulation.cli.{module}"), function)
     try:
+        compile_cache.make()
+        run: Callable[[list[str]], int] = getattr(importlib.import_module(f"simulation.cli.{module}"), function)
         _refuse_negative_seed(rest)
         return read_by_somebody(lambda: run(rest))
     except (ValueError, OSError, PhysicsError) as error:  # the last for an object that cannot be held

@@ -4,6 +4,7 @@ Numba checks only the file of the function that it loads, not those of the funct
 an unchanged caller would keep the old physics.
 """
 
+import contextlib
 import hashlib
 import os
 from pathlib import Path
@@ -22,8 +23,28 @@ def state_of(package: Path) -> str:
 
 
 def keep_apart(package: Path) -> None:
-    """Set numba's cache, before its import, to a folder inside the environment's one, else in ``__pycache__``."""
+    """Set numba's cache, before its import, to a folder of this state.
+
+    It lies in the environment's one, else beside the package, else, where somebody else has installed that, in the
+    user's cache. Numba itself would go there too then, but without keeping states apart.
+    """
     state, named = state_of(package), os.environ.get(VARIABLE)
-    base = Path(named) if named else package / "__pycache__"
+    beside = package / "__pycache__"
+    if named:
+        base = Path(named)
+    elif os.access(beside if beside.exists() else package, os.W_OK):
+        base = beside
+    else:
+        users = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111 who has no home may import
+        base = Path(users) / "tactile-insertion"
     if base.name != state:  # a child process inherits it in its environment
         os.environ[VARIABLE] = str(base / state)
+
+
+def make() -> None:
+    """Make the folder that :func:`keep_apart` chose. Raises OSError where it cannot be written."""
+    folder = Path(os.environ[VARIABLE])
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+    if not os.access(folder, os.W_OK):
+        raise OSError(f"cannot keep the compiled physics in {folder}; name a folder of yours in {VARIABLE}")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from simulation.compile_cache import VARIABLE, keep_apart, state_of
+from simulation.compile_cache import VARIABLE, keep_apart, make, state_of
 
 CALLEE = "from numba import njit\n\n@njit(cache=True)\ndef number():\n    return {value}\n"
 CALLER = """from numba import njit
@@ -43,6 +43,29 @@ def test_a_folder_that_the_environment_names_holds_the_states_apart_too(small, m
     for _ in range(2):  # a child process is told once more
         keep_apart(small)
         assert os.environ[VARIABLE] == f"/var/lib/cache/{state_of(small)}"
+
+
+def test_an_installation_of_somebody_else_keeps_its_states_apart_in_the_users_cache(small, tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda path, _: small not in (path, *path.parents))  # a superuser may write
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv(VARIABLE, raising=False)
+    keep_apart(small)
+    make()
+    assert os.environ[VARIABLE] == str(tmp_path / "cache" / "tactile-insertion" / state_of(small))
+    assert Path(os.environ[VARIABLE]).is_dir()
+
+
+def test_where_nothing_compiled_can_be_kept_a_command_says_what_to_name(tmp_path):
+    (tmp_path / "file").touch()
+    folder = tmp_path / "file" / "cache"
+    command = [sys.executable, "-m", "simulation", "explain", "rectangle"]
+    told = subprocess.run(
+        command, env=os.environ | {VARIABLE: str(folder)}, capture_output=True, text=True, check=False
+    )
+    assert told.returncode == 2
+    (line,) = told.stderr.splitlines()
+    assert line.startswith(f"explain: cannot keep the compiled physics in {folder}")
+    assert VARIABLE in line
 
 
 def test_a_caller_does_not_go_on_with_what_its_callee_was_before(small, monkeypatch):
