@@ -13,8 +13,8 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Callable, Sequence
-from importlib.metadata import PackageNotFoundError, version
 
+from service import __version__
 from tactile_insertion.commands import COMMANDS, GROUPS, Command
 
 DONE, WRONG_INPUT, INTERRUPTED = 0, 2, 130
@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _show(usage())
         return DONE if words else WRONG_INPUT
     if words[0] == "--version":
-        print(f"tactile-insertion {_version()}")
+        print(f"tactile-insertion {__version__}")
         return DONE
     if words[0] == "--print-completion":
         return _print_completion(words[1:])
@@ -114,10 +114,3 @@ def _print_completion(shell: list[str]) -> int:
 def _refuse(sentence: str) -> int:
     print(f"tactile-insertion: {sentence}", file=sys.stderr)
     return WRONG_INPUT
-
-
-def _version() -> str:
-    try:
-        return version("tactile-insertion")
-    except PackageNotFoundError:
-        return "(a checkout, not installed)"

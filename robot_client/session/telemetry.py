@@ -4,11 +4,11 @@ import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.state import Plan, State
 from robot_client.ports import Arm
+from service import __version__
 from service.contract import wire
 
 BATCH_N = 5  # samples; at 50 per second, a crash loses a tenth of a second
@@ -32,7 +32,7 @@ class Telemetry:
             object=plan.object,
             start=pose(start),
             approach=pose(plan.approach),
-            versions={"client": _version(), "protocol": str(wire.PROTOCOL), "python": platform.python_version()},
+            versions={"client": __version__, "protocol": str(wire.PROTOCOL), "python": platform.python_version()},
         )
         self.send(episode)
 
@@ -64,10 +64,3 @@ class Telemetry:
 
 def pose(of: WorkPose) -> wire.ToolPose:
     return wire.ToolPose(**of.model_dump())
-
-
-def _version() -> str:
-    try:
-        return version("tactile-insertion")
-    except PackageNotFoundError:
-        return "checkout"

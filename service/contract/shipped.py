@@ -1,6 +1,5 @@
 """Locates the files that a release ships beside its code: in a checkout, or where the wheel puts its data."""
 
-import sysconfig
 from pathlib import Path
 
 
@@ -11,7 +10,8 @@ def released_models() -> Path:
     error names the folder a user would expect.
     """
     here = Path("models")
-    checkout = Path(__file__).parents[2] / "models"
-    installed = Path(sysconfig.get_path("data")) / "share" / "tactile-insertion" / "models"
-    folders = [folder for root in (here, checkout, installed) for folder in (root / "pressing", root)]
+    checkout, *around = Path(__file__).parents[2:]
+    # How far above the packages `share` lies depends on pip: an environment, a user's home, or a folder of its own.
+    installed = [folder / "share" / "tactile-insertion" / "models" for folder in (checkout, *around)]
+    folders = [folder for root in (here, checkout / "models", *installed) for folder in (root / "pressing", root)]
     return next((folder for folder in folders if any(folder.glob("*.onnx"))), here)

@@ -10,6 +10,7 @@ import pytest
 from robot_client.insertion.state import Phase
 from robot_client.session.replay import replay
 from robot_client.session.telemetry import BATCH_N
+from service import __version__
 from service.contract import wire
 from tests.robot_client.live_cell import bench, undisturbed
 
@@ -114,6 +115,7 @@ def test_an_insertion_tells_what_was_to_be_done_and_where_the_robot_was(inserted
     (_, episode), *batches = cell.heard
     lowest_mm = min(pose.position_mm[2] for _, _, pose in cell.trace)
     assert isinstance(episode, wire.Episode)
+    assert episode.versions["client"] == __version__
     assert (episode.approach.x_mm, episode.approach.yaw_deg) == (8.0, 6.0)
     assert episode.start.z_mm == pytest.approx(40.0, abs=0.5)
     samples = [sample for _, batch in batches for sample in batch.samples]
