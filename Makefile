@@ -200,8 +200,8 @@ bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## cost of serving against MLSe
 
 PEERS = $(if $(LEROBOT),$(PEERS_OF_THEIR_OWN),$(filter-out $(LEROBOT_VENV),$(PEERS_OF_THEIR_OWN)))
 peers: $(VENV)/browser $(PEERS:=/ready) ## interoperability with other software, one row per package: docs/peers.md, .json (LEROBOT=1: its loader, too, 8 GB)
-	PEERS_PYTHON=$(CURDIR)/$(READERS_VENV)/bin/python OLD_RUNTIME_PYTHON=$(CURDIR)/$(OLD_RUNTIME_VENV)/bin/python \
-	  GRAPH_PYTHON=$(CURDIR)/$(GRAPH_VENV)/bin/python KSERVE_PYTHON=$(CURDIR)/$(KSERVE_VENV)/bin/python $(if $(LEROBOT),LEROBOT_PYTHON=$(CURDIR)/$(LEROBOT_VENV)/bin/python) \
+	PEERS_PYTHON="$(CURDIR)/$(READERS_VENV)/bin/python" OLD_RUNTIME_PYTHON="$(CURDIR)/$(OLD_RUNTIME_VENV)/bin/python" \
+	  GRAPH_PYTHON="$(CURDIR)/$(GRAPH_VENV)/bin/python" KSERVE_PYTHON="$(CURDIR)/$(KSERVE_VENV)/bin/python" $(if $(LEROBOT),LEROBOT_PYTHON="$(CURDIR)/$(LEROBOT_VENV)/bin/python") \
 	  $(BIN)/python -m tests.peers
 
 bench-hostile: $(VENV)/ready ## effect of floods of pages, inference, bodies and connections on the robot: docs/hostile_load.json
@@ -253,7 +253,7 @@ down: $(OPS_VENV)/ready ## stop and remove the containers of CELL; recordings st
 	$(COMPOSE) $(COMPOSE_FILE_ARGS) --profile live --profile robot --profile sim --profile monitoring down
 
 verify-images: $(OPS_VENV)/ready bundle ## build images and bundle, run the loop in them, kill the service during an insertion, print sizes and times
-	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) -m tests.docker.verify_images --outside $(CURDIR)/$(RUN) --bundle "$$(ls -t $(CURDIR)/dist/*.tar | head -n 1)"
+	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) -m tests.docker.verify_images --outside "$(CURDIR)/$(RUN)" --bundle "$(CURDIR)/$$(ls -t dist/*.tar | head -n 1)"
 
 lint-ops: $(OPS_VENV)/ready ## check Dockerfiles, alert rules (needs promtool, amtool) and manifests
 	$(OPS_VENV)/bin/hadolint docker/*.Dockerfile
