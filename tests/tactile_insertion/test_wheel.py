@@ -77,8 +77,8 @@ def test_the_wheel_brings_its_models_objects_and_configurations(installed, tmp_p
 def test_what_a_driver_of_your_own_imports_is_typed(installed, tmp_path):
     """Without a mark, the types of a port are those of anything: they rest on the contract's."""
     code = "import service, robot_client; print(*service.__path__, *robot_client.__path__, sep='\\n')"
-    told = subprocess.run([installed, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True, timeout=60)
-    folders = told.stdout.splitlines()
+    done = subprocess.run([installed, "-c", code], cwd=tmp_path, check=True, capture_output=True, text=True, timeout=60)
+    folders = done.stdout.splitlines()
     assert len(folders) == 2
     assert all(Path(folder, "py.typed").is_file() for folder in folders)
 

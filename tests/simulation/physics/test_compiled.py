@@ -59,11 +59,11 @@ def test_where_nothing_compiled_can_be_kept_a_command_says_what_to_name(tmp_path
     (tmp_path / "file").touch()
     folder = tmp_path / "file" / "cache"
     command = [sys.executable, "-m", "simulation", "explain", "rectangle"]
-    told = subprocess.run(
+    done = subprocess.run(
         command, env=os.environ | {VARIABLE: str(folder)}, capture_output=True, text=True, check=False
     )
-    assert told.returncode == 2
-    (line,) = told.stderr.splitlines()
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
     assert line.startswith(f"explain: cannot keep the compiled physics in {folder}")
     assert VARIABLE in line
 
