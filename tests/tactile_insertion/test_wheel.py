@@ -7,6 +7,7 @@ import sys
 import sysconfig
 import tomllib
 import venv
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -33,13 +34,30 @@ def installed(tmp_path_factory):
     return python
 
 
-def test_what_the_wheel_carries_beside_the_code_are_files():
-    """A pattern that takes in a folder breaks every build."""
-    carried = PROJECT["tool"]["setuptools"]["data-files"]
-    for pattern in (pattern for patterns in carried.values() for pattern in patterns):
-        paths = list(ROOT.glob(pattern))
-        assert paths, pattern
-        assert all(path.is_file() for path in paths), pattern
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_wheel_holds_nothing_that_the_checkout_no_longer_has(tmp_path):
+    """A build that leaves a copy behind would install a removed object or sensor again with the next version."""
+    checkout = tmp_path / "checkout"
+    for package in PROJECT["tool"]["importlinter"]["root_packages"]:
+        (checkout / package).mkdir(parents=True)
+        (checkout / package / "__init__.py").touch()
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        (checkout / name).write_bytes((ROOT / name).read_bytes())
+    for name in ("models", "simulation/objects"):
+        (checkout / name).mkdir()
+    for name in ("models/network.onnx", "simulation/objects/old_box.toml", "simulation/objects/new_box.toml"):
+        (checkout / name).touch()
+
+    def objects():
+        pip = [sys.executable, "-m", "pip", "-q", "wheel", "--no-deps", "-w", str(tmp_path / "wheels"), str(checkout)]
+        subprocess.run(pip, check=True, timeout=300)
+        (wheel,) = (tmp_path / "wheels").glob("*.whl")
+        return {Path(name).name for name in zipfile.ZipFile(wheel).namelist() if name.startswith("simulation/objects")}
+
+    assert objects() == {"old_box.toml", "new_box.toml"}
+    (checkout / "simulation" / "objects" / "old_box.toml").unlink()
+    assert objects() == {"new_box.toml"}
 
 
 @pytest.mark.parametrize(
