@@ -4,6 +4,7 @@ import importlib
 import re
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("run:run", "cell, service and robot client insert an object in real time"),
@@ -66,7 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     module, function = COMMANDS[name][0].split(":")
     try:
-        compile_cache.make()
+        compile_cache.make(Path(__file__).parent)
         run: Callable[[list[str]], int] = getattr(importlib.import_module(f"simulation.cli.{module}"), function)
         _refuse_negative_seed(rest)
         return read_by_somebody(lambda: run(rest))

@@ -41,8 +41,9 @@ def keep_apart(package: Path) -> None:
         os.environ[VARIABLE] = str(base / state)
 
 
-def make() -> None:
-    """Make the folder that :func:`keep_apart` chose. Raises OSError where it cannot be written."""
+def make(package: Path) -> None:
+    """Make the folder that :func:`keep_apart` chooses. Raises OSError where it cannot be written."""
+    keep_apart(package)
     folder = Path(os.environ[VARIABLE])
     with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)

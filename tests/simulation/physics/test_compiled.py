@@ -49,8 +49,7 @@ def test_an_installation_of_somebody_else_keeps_its_states_apart_in_the_users_ca
     monkeypatch.setattr(os, "access", lambda path, _: small not in (path, *path.parents))  # a superuser may write
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv(VARIABLE, raising=False)
-    keep_apart(small)
-    make()
+    make(small)
     assert os.environ[VARIABLE] == str(tmp_path / "cache" / "tactile-insertion" / state_of(small))
     assert Path(os.environ[VARIABLE]).is_dir()
 
