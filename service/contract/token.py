@@ -19,10 +19,16 @@ class TokenError(ContractError):
 
 
 def state_folder() -> Path:
-    """Folder of the service's persistent state: ``TACTILE_STATE``, else the user's state folder (XDG)."""
+    """Folder of the service's persistent state: ``TACTILE_STATE``, else the user's state folder (XDG).
+
+    Raises TokenError for a user who has no home.
+    """
     if given := os.environ.get("TACTILE_STATE"):
         return Path(given)
-    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "tactile-insertion"
+    try:
+        return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "tactile-insertion"
+    except RuntimeError:
+        raise TokenError("this user has no home for the state folder; name a folder in TACTILE_STATE") from None
 
 
 def is_here(url: str) -> bool:

@@ -1,6 +1,9 @@
 """The token of a service: made once, for its owner alone, and never taken from a file that others could write."""
 
+import shutil
 import stat
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -55,3 +58,15 @@ def test_a_token_needs_sixteen_characters() -> None:
     assert check_token("x" * 16) == "x" * 16
     with pytest.raises(TokenError):
         check_token("x" * 15)
+
+
+def test_a_user_without_a_home_is_asked_for_a_folder() -> None:
+    nobody = [shutil.which("unshare") or "unshare", "--user", "--map-user=54321"]
+    try:
+        subprocess.run([*nobody, "true"], check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("this machine lets no user be one without a name")
+    command = [*nobody, sys.executable, "-c", "from service.contract.token import state_folder; state_folder()"]
+    environment = {"PYTHONPATH": str(Path(__file__).parents[3])}
+    ended = subprocess.run(command, check=False, env=environment, capture_output=True, text=True)
+    assert "TokenError: this user has no home for the state folder; name a folder in TACTILE_STATE" in ended.stderr
