@@ -73,7 +73,7 @@ $(DOCS_VENV)/ready $(OPS_VENV)/ready:
 
 # ---- the main job -------------------------------------------------------------------------------------------------
 
-run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= WORLD= X_MM= THETA_DEG= SEED=; OBJECT and WORLD may be TOML files; CELL=foreign: finite elements, not in real time)
+run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= WORLD= X_MM= THETA_DEG= SEED=; OBJECT and WORLD may be TOML files; CELL=foreign: finite elements, 2.2 times too slow for real time, so in lock step)
 ifeq ($(CELL),foreign)
 	@$(RUN) -m simulation evaluate --cell foreign --perception fields --count 1 --objects $(or $(OBJECT),rectangle) \
 	  $(if $(WORLD),--worlds $(WORLD)) $(if $(SEED),--seed $(SEED)) --json "$$(mktemp -d)/foreign.json"

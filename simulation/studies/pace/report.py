@@ -198,8 +198,8 @@ def _early(kept: Row, shipped: Row) -> str:
     waits_s, attempts = shipped["frames_s"]["mean"], shipped["attempts"]
     share = attempts * waits_s / shipped["seconds"]["mean"]
     return f"""
-    **Early decisions** would save little: from the touch to the last frame that a decision reads, {waits_s:.2f} s pass,
-    with {attempts:.1f} attempts a box {number(share, ".0%")} of all seconds. Pressing by {press_mm:g} mm saves
+    **Early decisions** would save little. From the touch to the last frame that a decision reads, {waits_s:.2f} s pass;
+    with {attempts:.1f} attempts a box, that is {number(share, ".0%")} of all seconds. Pressing by {press_mm:g} mm saves
     {number(1.0 - press_mm / reads_mm, ".0%")} of the {reads_mm:g} mm that the networks can read ([the depth of a
     decision](decisions/0079-the-depth-of-a-decision.md)). To stop as soon as a direction has a probability of 0.6 would
     save {number(least["saved"], ".0%")}, with {_share(least["right"])} of held-out directions right instead of
