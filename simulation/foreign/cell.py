@@ -277,7 +277,7 @@ class ForeignCell:
             gel=self.readout(self.pads.displacement(grip), pressure),
             slipping=self.readout.nearest(self._slid),
             slipping_share=self._slid.reshape(2, -1).sum(axis=1) / np.maximum(closed, 1),
-            wrench_n_nmm=np.zeros(6) if self.grasp_lost else self.bodies.wrench(grip),  # what is lost is not moved on
+            wrench_n_nmm=np.zeros(6) if self.grasp_lost else self.bodies.wrench(grip),  # nobody balances it any more
             in_hand=np.concatenate([grip.place, rotation_vector(grip.turn)]),
             object_error=self._object_error(),
             bottom_z_mm=float(pose.outline[:, 2].min()),
