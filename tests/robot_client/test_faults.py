@@ -210,6 +210,7 @@ async def break_it(name, phase, folder):
     overrides = {
         "timeouts": {"arming_s": 1.0, "deciding_s": 1.5, "motion_s": 3.0},
         "robot": {"max_age_s": 0.25, "rws": {"stop_timeout_s": 0.5}},
+        "gripper": {"reply_timeout_s": 3.0},  # three requests of a goodbye wait that long for a silent one
     }
     log = folder / f"{name}-{phase}.jsonl".replace(" ", "_")
     async with bench(overrides=overrides) as cell:

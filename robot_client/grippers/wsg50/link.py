@@ -44,14 +44,17 @@ class Link:
         """Send the ``last`` requests, whatever becomes of them, and leave."""
         if self._opening is not None:
             await asyncio.wait({self._opening})
-        if self._writer is not None:
+        try:
             for command, values in last:
                 with contextlib.suppress(GripperError):
                     await self.request(command, *values)
-            self._writer.close()
-        if self._reader is not None:
-            self._reader.cancel()
-            await asyncio.gather(self._reader, return_exceptions=True)
+        finally:  # also when whoever closes has waited long enough for a silent gripper
+            if self._writer is not None:
+                self._writer.close()
+                self._writer = None
+            if self._reader is not None:
+                self._reader.cancel()
+                await asyncio.gather(self._reader, return_exceptions=True)
 
     async def request(self, command: Command, *values: Value) -> Reply:
         """Send and wait for the final reply (the second one of a two-stage command); raises GripperError."""

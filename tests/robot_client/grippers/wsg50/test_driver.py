@@ -233,6 +233,17 @@ async def test_trouble_during_an_insertion_is_reported(fault, kind, code):
     assert getattr(event, "code", "") == code
 
 
+async def test_a_close_that_is_cut_off_beside_a_silent_gripper_leaves_no_connection_open():
+    async with bench() as cell:
+        await cell.started()
+        cell.board.update({"wsg": {"silent": True}})
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.1):
+                await cell.driver.close()
+        while cell.emulator.connection is not None:  # noqa: ASYNC110 the bench ends a wait in vain
+            await asyncio.sleep(0.01)
+
+
 def test_each_change_of_the_grasping_state_means_what_it_says():
     quiet = {
         (before, after) for before, after in product(GraspingState, repeat=2) if before is not GraspingState.HOLDING
