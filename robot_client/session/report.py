@@ -147,8 +147,8 @@ class Report:
         if waits:
             median_ms = waits[len(waits) // 2]
             lines.append(f"  decisions   median {median_ms:.0f} ms after standstill, worst {waits[-1]:.0f} ms")
-        if self.rows:
-            parts = ", ".join(f"{name} {spent:.1f}" for name, spent in self.seconds.spent.items() if spent >= 0.05)
+        parts = ", ".join(f"{name} {spent:.1f}" for name, spent in self.seconds.spent.items() if spent >= 0.05)
+        if parts:  # a rehearsal takes no time
             lines.append(f"  seconds     {self.seconds.total_s:.1f} since the approach began: {parts}")
         if link:
             lines.append("  arm link    " + ", ".join(f"{key} {value}" for key, value in link.items()))

@@ -31,6 +31,7 @@ def slip_report(arguments: list[str]) -> int:
     options = tyro.cli(SlipOptions, args=arguments, prog="tactile-insertion slip-report")
     if options.trials < 1:
         raise ValueError(f"--trials {options.trials}: expected at least 1")
+    options.out.mkdir(parents=True, exist_ok=True)  # refused now rather than after all trials
     with progress("trials", options.trials) as show:
         data = detection.evaluate(options.trials, options.seed, options.fps, show)
     data["tracking"] = tracking.measure(options.seed, options.fps)

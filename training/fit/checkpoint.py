@@ -1,6 +1,7 @@
 """A trained network on disk: weights, sizes, and everything for its model card."""
 
 import hashlib
+import io
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -10,6 +11,7 @@ import torch
 from pydantic import JsonValue, ValidationError
 from torch import Tensor
 
+from reporting.files import write_durably
 from service.contract import ContractError, Sensor
 from service.contract.frames import first_error
 from service.contract.model_card import Expectations, Pressing
@@ -25,14 +27,13 @@ OWN, AS_TRAINED = "validation/all", "trained/all"
 
 
 def save_whole(path: Path, contents: dict[str, Any]) -> None:
-    """Write a file of torch whole or not at all; raise ContractError on a full disk."""
-    temporary = path.with_suffix(".tmp")
+    """Write a file of torch durably; raises ContractError on a full disk."""
+    whole = io.BytesIO()
+    torch.save(contents, whole)
     try:
-        torch.save(contents, temporary)
-    except RuntimeError as error:  # also for what the system refuses
-        temporary.unlink(missing_ok=True)
+        write_durably(path, whole.getvalue())
+    except OSError as error:
         raise ContractError(f"{path} cannot be written, is the disk full? {error}") from error
-    temporary.replace(path)
 
 
 @dataclass(frozen=True)
