@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import cv2
 import numpy as np
 
-from service.cameras.capture import STALL_S, CameraError, Capture, Source, now_ns
+from service.cameras.capture import CameraError, Capture, Source, now_ns
 from service.cameras.recorded import RecordingSource
 from service.contract import TactileFrame
 from service.contract.refusals import nearest
@@ -21,6 +21,7 @@ from service.contract.text import without_secrets
 
 CONNECT_TIMEOUT_S = 0.6  # with the pause between tries, a returned camera is noticed within 1 s
 READ_TIMEOUT_S = 1.0
+SILENT_S = 0.2  # at 10 mm/s, pictures that are late by less take less than the motion lease allows
 MAX_JPEG_BYTES = 4 << 20
 _LENGTH = re.compile(rb"(?im)^content-length:\s*(\d+)")
 _STAMP = re.compile(rb"(?im)^x-timestamp:\s*(\d+)\.(\d{1,9})\s*$")
@@ -36,7 +37,8 @@ class MjpegSource:
     trusted at any age, because a delayed picture must not pass for a fresh one.
 
     Without such stamps a picture counts as taken when it arrives, so none that waited may pass for a fresh one either:
-    of several complete parts only the newest is yielded, and after half a second of silence the stream is reopened.
+    of several complete parts only the newest is yielded. After `SILENT_S` the pictures may be late from then on, and
+    so may those of a stream whose stamps cease: it is lost, and reopened.
     """
 
     def __init__(self, url: str) -> None:
@@ -97,12 +99,12 @@ class _Stream:
         self._read_ns = now_ns()
 
     def fill(self) -> bool:
-        """Read more; False at the end. Raises CameraError after a silence in which pictures may have waited."""
+        """Read more; False at the end. Raises CameraError after a silence since which pictures may be late."""
         data = self._response.read1(1 << 16)
         self.held += data
         last_ns, self._read_ns = self._read_ns, now_ns()
         silent_s = (self._read_ns - last_ns) / 1e9
-        if self.silence_matters and silent_s > STALL_S:
+        if self.silence_matters and silent_s > SILENT_S:
             raise CameraError(f"nothing was read for {silent_s:.1f} s: without stamps, what waited may be old")
         return bool(data)
 
@@ -159,10 +161,13 @@ def _start(match: re.Match[bytes] | None) -> int:
 def header_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False) -> int:
     """The capture stamp in a part's header if it can be of this machine's monotonic clock, else its arrival.
 
-    ``same_clock``: earlier stamps of this stream were of this clock, so an old stamp is really old.
+    ``same_clock``: earlier stamps of this stream were of this clock, so an old stamp is really old. Raises CameraError
+    if there is none any more.
     """
     stamp = _STAMP.search(header.replace(b"\r\n", b"\n"))
     if stamp is None:
+        if same_clock:
+            raise CameraError("a part bears no X-Timestamp, unlike those before: its age is unknown")
         return arrived_ns
     return capture_ns(int(stamp[1]) * 1_000_000_000 + int(stamp[2].ljust(9, b"0")), arrived_ns, same_clock=same_clock)
 

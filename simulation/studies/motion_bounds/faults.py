@@ -18,6 +18,14 @@ DESCENT: tuple[Phase, ...] = ("air", "contact")
 EVERYWHERE: tuple[Phase, ...] = ("arming", "air", "contact", "deciding", "retracting")
 
 
+def ask(admin_url: str, path: str, changes: dict[str, Any] | None = None) -> Any:
+    """The cell's admin port: read ``path``, or post ``changes`` to it."""
+    body = None if changes is None else json.dumps(changes).encode()
+    request = Request(f"{admin_url}/{path}", body, {"Content-Type": "application/json"})  # noqa: S310 our own child
+    with urlopen(request, timeout=5.0) as answer:  # noqa: S310 the same
+        return json.load(answer)
+
+
 @dataclass(frozen=True, slots=True)
 class Bench:
     """One live insertion: its processes, and the network between client and service."""
@@ -26,13 +34,7 @@ class Bench:
     relay: Relay
 
     def ask(self, path: str, changes: dict[str, Any] | None = None) -> Any:
-        """The cell's admin port: read ``path``, or post ``changes`` to it."""
-        body = None if changes is None else json.dumps(changes).encode()
-        request = Request(  # noqa: S310 our own child on loopback
-            f"{self.loop.facts['admin_url']}/{path}", body, {"Content-Type": "application/json"}
-        )
-        with urlopen(request, timeout=5.0) as answer:  # noqa: S310 the same
-            return json.load(answer)
+        return ask(self.loop.facts["admin_url"], path, changes)
 
 
 Inject = Callable[[Bench], None]
@@ -42,13 +44,15 @@ Inject = Callable[[Bench], None]
 class Fault:
     """``hides_s``: age of a picture beyond its stamp; inf: from the fault on it shows nothing new.
 
-    ``bounded``: whether the lease bounds it; unbounded faults are measured, too.
+    ``unstamped``: the cameras never stamped a picture. ``bounded``: whether the lease bounds it; unbounded faults are
+    measured, too.
     """
 
     name: str
     inject: Inject
     phases: tuple[Phase, ...] = DESCENT
     hides_s: float = 0.0
+    unstamped: bool = False
     bounded: bool = True
 
 
@@ -109,8 +113,9 @@ FAULTS: tuple[Fault, ...] = (
             f"cameras {ms} ms late, unstamped",
             _cameras(*BOTH, delay_ms=ms, unstamped=True),
             hides_s=ms / 1e3,
-            bounded=False,
+            unstamped=True,
         )
         for ms in (100, 200, 300)
     ),
+    Fault("cameras cease to stamp, 300 ms late", _cameras(*BOTH, delay_ms=300, unstamped=True), hides_s=0.3),
 )

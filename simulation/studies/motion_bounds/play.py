@@ -12,13 +12,14 @@ from typing import Any
 
 from simulation.cell.children import Child, ChildError
 from simulation.cell.run import RunOptions, Start, loop
-from simulation.studies.motion_bounds.faults import Bench, Fault, Phase
+from simulation.studies.motion_bounds.faults import BOTH, Bench, Fault, Phase, ask
 from simulation.studies.motion_bounds.relay import Relay
 
 BOUND_MM, MOST_N = 1.5, 25.0
 AIR_MM = 1.5  # below the approach pose
 END_S, SETTLE_S, STOP_S = 60.0, 0.4, 0.3
 POLL_S = 0.004
+REOPENED_S = 1.5  # after the service saw stamps cease
 MOVED_MM = 0.05
 LOGGED: dict[Phase, str] = {
     "arming": '"type": "arm"',
@@ -58,7 +59,10 @@ def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
     relays: list[Relay] = []
 
     def through(url: str) -> str:
+        """Called before the client starts."""
         relays.append(Relay.to(url))
+        if fault.unstamped:
+            _never_stamp(folder)
         return relays[-1].url
 
     with loop(Start(options.object, 8.0, 6.0, options.seed), options, folder, through) as running:
@@ -86,6 +90,12 @@ def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
         tracebacks=sum("Traceback" in log.read_text(errors="replace") for log in logs),
         bounded=fault.bounded,
     )
+
+
+def _never_stamp(folder: Path) -> None:
+    facts = json.loads((folder / "cell" / "cell.json").read_text())
+    ask(facts["admin_url"], "faults", {f"camera_{finger}": {"unstamped": True} for finger in BOTH})
+    time.sleep(REOPENED_S)
 
 
 def _inject(fault: Fault, phase: Phase, bench: Bench) -> int | None:

@@ -64,10 +64,10 @@ def _table(rows: Rows) -> Any:
 _BEYOND = """
 ## What it cannot bound
 
-**Frames that are older than their timestamps.** Let the camera server stamp its frames at capture (`X-Timestamp` in
-the header of each part, in seconds of the cell PC's monotonic clock). One that does not is only as good as its
-latency, which commissioning measures. In this test the delay begins during the descent, and the resulting gap ends
-the lease. A delay that is present from the start adds 1 mm per 100 ms to every stop.
+**Pictures without stamps that were late from the start.** Each 100 ms of it adds 1 mm to every stop. A delay that
+begins later shows as a silence, after which [such a camera counts as lost](decisions/0035-frames-and-their-age.md).
+Let the camera server stamp its frames at capture (`X-Timestamp` in the header of each part, in seconds of the cell
+PC's monotonic clock). One that does not is only as good as its latency, which commissioning measures.
 
 **A frozen picture with fresh noise** is recognised only if its original was judged, and not before its second copy
 ([decision 132](decisions/0132-noise-comes-once.md)): the bound grows by one frame period. No frames are judged
