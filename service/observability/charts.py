@@ -8,7 +8,7 @@ import bisect
 import contextlib
 import json
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import NormalDist
@@ -100,23 +100,22 @@ class Charts:
     def add(self, values: Mapping[str, float], of: str, within: str) -> list[tuple[str, Cause]]:
         """Add one insertion's values by chart; returns the charts that alarm with it, and the likeliest cause of each.
 
-        ``within`` names gels and networks: with others everything is learnt again. Raises OSError if the charts cannot
-        be stored; they continue in memory.
+        ``within`` names gels and networks: with others everything is learnt again.
         """
         with self._lock:
-            return self._add(values, of, within)
+            if within != self._within:
+                self._within, self._charts = within, {name: Chart() for name in SIDES}
+            return [
+                (name, self._cause(name)) for name in SIDES if name in values and self._crosses(name, values[name], of)
+            ]
 
-    def _add(self, values: Mapping[str, float], of: str, within: str) -> list[tuple[str, Cause]]:
-        if within != self._within:
-            self._within, self._charts = within, {name: Chart() for name in SIDES}
-        alarms = [
-            (name, self._cause(name)) for name in SIDES if name in values and self._crosses(name, values[name], of)
-        ]
-        whole = {"within": within, "charts": {name: asdict(chart) for name, chart in self._charts.items()}}
-        fresh = self._path.with_suffix(".partial")
-        fresh.write_text(json.dumps(whole))
-        fresh.replace(self._path)
-        return alarms
+    def keep(self) -> None:
+        """Store the charts in their file. Raises OSError if that cannot be done; they continue in memory."""
+        with self._lock:
+            whole = {"within": self._within, "charts": {name: asdict(chart) for name, chart in self._charts.items()}}
+            fresh = self._path.with_suffix(".partial")
+            fresh.write_text(json.dumps(whole))
+            fresh.replace(self._path)
 
     def _crosses(self, name: str, value: float, of: str) -> bool:
         chart = self._charts[name]
@@ -126,10 +125,5 @@ class Charts:
 
     def _cause(self, name: str) -> Cause:
         """The first cause of all signalling charts, which include the chart itself."""
-        return next(cause for cause in self._speaking(name))
-
-    def _speaking(self, name: str) -> Iterator[Cause]:
-        for cause in CAUSES:
-            least = LIMIT if cause.chart == name else SUPPORTS
-            if self._charts[cause.chart].sum(cause.side) >= least:
-                yield cause
+        least = dict.fromkeys(SIDES, SUPPORTS) | {name: LIMIT}
+        return next(one for one in CAUSES if self._charts[one.chart].sum(one.side) >= least[one.chart])

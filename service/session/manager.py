@@ -286,12 +286,12 @@ class InsertionManager:
         within = " ".join([*self._gels.values(), *(entry.sha256[:12] for entry in models.entries)])
         try:
             ended = Summary.model_validate(summary)
-            alarms = self.charts.add(values, ended.object or "", within) if (values := ended.charted) else []
+            if values := ended.charted:
+                for chart, cause in self.charts.add(values, ended.object or "", within):
+                    self.hub.publish("drift", {"chart": chart, "cause": cause.what, "remedy": cause.remedy})
+                self.charts.keep()
         except (OSError, ValueError) as error:
             self.hub.publish("error", f"charts: {reason(error)}")
-            return
-        for chart, cause in alarms:
-            self.hub.publish("drift", {"chart": chart, "cause": cause.what, "remedy": cause.remedy})
 
 
 def _lacks(recorder: Recorder, problem: str) -> str:

@@ -186,7 +186,7 @@ class Status:
             self._note_overdue()
             self._on_unrecorded(health["recording"])
             listed = self._alarms.shown(SHOWN_ALARMS_N)
-            alarms = [asdict(alarm) | {"active": self._is_active(alarm.key)} for alarm in listed]
+            alarms = [asdict(alarm) | {"active": self._is_active(alarm.key, health)} for alarm in listed]
             running, last = self._running, self._last
             shown = running and asdict(running) | {
                 "attempts_max": wire.MAX_ATTEMPTS,
@@ -239,14 +239,14 @@ class Status:
             return {"level": "good", "words": self._last.words, "detail": "Ready for the next object."}
         return {"level": "good", "words": "Ready for the next object", "detail": ""}
 
-    def _is_active(self, key: str) -> bool:
+    def _is_active(self, key: str, health: dict[str, Any]) -> bool:
         """Whether an alarm's fault still exists, as far as can be determined."""
         what, _, name = key.partition(" ")
         if what == "camera":
-            return any(finger == name and self._station.cameras[finger].state != "live" for finger in FINGERS)
+            return bool(health["cameras"][name]["state"] != "live")
         if what == "drift":
             return self._station.manager.charts.level(name) >= 1.0
-        return what == "recording" and bool(self._station.manager.unrecorded)
+        return what == "recording" and bool(health["recording"])
 
     def _health(self) -> dict[str, Any]:
         station = self._station

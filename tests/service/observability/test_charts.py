@@ -67,6 +67,7 @@ def cell(rng: np.random.Generator, charts: Charts, n: int, **shifts: float) -> l
         values["coverage"] = float(rng.random() < shifts.get("holds", 0.9))
         values["trials"] = float(rng.geometric(shifts.get("goes_in", 0.45)))
         alarms += [(name, cause.what) for name, cause in charts.add(values, "box", "gel")]
+    charts.keep()
     return alarms
 
 

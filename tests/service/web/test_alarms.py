@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import httpx
+import pytest
 
 from service.contract import wire
 from service.web.page.alarms import EARLIER, KEPT_N, Alarms
@@ -91,6 +92,16 @@ def test_a_recording_without_an_end_blames_the_full_disk_as_well_as_the_service(
         (alarm,) = status(live)["alarms"]
         assert (alarm["key"], alarm["level"]) == ("insertion full", "stop")
         assert alarm["detail"] == "The service ended during it, or the disk was full."
+
+
+def test_a_disk_is_not_asked_while_events_wait_for_the_answer(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown, locked = Status(live.station), []
+    live.station.hub.publish("unrecorded", "the disk is full")
+    monkeypatch.setattr("service.session.manager.problem_of", lambda _: locked.append(shown._lock.locked()) or "")
+    assert shown.snapshot()["alarms"][0]["key"] == "recording"
+    assert locked == [False]
 
 
 def acknowledged(live: LiveService) -> str:

@@ -8,10 +8,12 @@ from pathlib import Path
 import httpx
 import pytest
 
+from service.decision.models import load_models
 from service.observability.charts import LEARNT_N, LIMIT
 from service.session.manager import CHARTS
 from tests.service.client import Driver
 from tests.service.conftest import LiveService, live_service
+from tests.service.session.test_manager import manager
 
 
 @pytest.fixture
@@ -64,3 +66,18 @@ def test_a_changed_light_is_measured_and_named_everywhere(cell: LiveService) -> 
     metrics = cell.metrics()
     assert 'tactile_drift_alarms_total{cause="changed light"} 1.0' in metrics
     assert 'tactile_drift{chart="trials"} 0.0' in metrics
+
+
+def test_charts_that_cannot_be_kept_alarm_all_the_same(models_folder: Path, tmp_path: Path) -> None:
+    models = load_models(models_folder)
+    tried, heard = manager(models, tmp_path), []
+    tried.hub.subscribe(lambda kind, content: heard.append((kind, content)))
+    summary = {"insertion_id": "one", "outcome": "inserted", "attempts": 1, "brightness_grey": 80.0}
+    tried._chart(summary, models)
+    light = tried.charts._charts["light"]
+    light.learnt[""] = [90.0 + 0.1 * i for i in range(LEARNT_N)]
+    light.low = LIMIT - 1.0
+    tried._chart(summary, models)
+    assert not tried.settings.recordings.exists()
+    assert [kind for kind, _ in heard] == ["error", "drift", "error"]
+    assert heard[1][1]["cause"] == "changed light"
