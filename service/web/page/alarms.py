@@ -3,6 +3,7 @@
 import contextlib
 import json
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
@@ -13,6 +14,7 @@ Level = Literal["stop", "warning"]
 KEPT_N = 50
 EARLIER = "earlier"  # key of the one alarm that stands for the oldest of too many
 FILE = "alarms.json"
+_disk = ThreadPoolExecutor(1, "alarms")  # a slow one keeps no event waiting
 
 
 @dataclass(slots=True)
@@ -42,7 +44,8 @@ class Alarms:
         self._path = path
         self.all: list[Alarm] = []
         with contextlib.suppress(OSError, ValueError, TypeError):  # a broken file must not keep a cell from starting
-            self.all = [Alarm(**entry) for entry in json.loads(path.read_text())]
+            kept = _disk.submit(path.read_text).result()  # behind what is being written
+            self.all = [Alarm(**entry) for entry in json.loads(kept)]
 
     @property
     def open(self) -> list[Alarm]:
@@ -92,5 +95,5 @@ class Alarms:
         return True
 
     def _keep(self) -> None:
-        with contextlib.suppress(OSError):  # a full disk raises its own alarm
-            write_whole(self._path, json.dumps([asdict(alarm) for alarm in self.all]))
+        """Have the alarms written; where that fails, the recordings' disk raises its own alarm."""
+        _disk.submit(write_whole, self._path, json.dumps([asdict(alarm) for alarm in self.all]))

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import threading
 from pathlib import Path
 
 import httpx
@@ -92,6 +93,14 @@ def test_a_recording_without_an_end_blames_the_full_disk_as_well_as_the_service(
         (alarm,) = status(live)["alarms"]
         assert (alarm["key"], alarm["level"]) == ("insertion full", "stop")
         assert alarm["detail"] == "The service ended during it, or the disk was full."
+
+
+def test_an_alarm_waits_for_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers, waited = threading.Event(), []
+    monkeypatch.setattr("service.web.page.alarms.write_whole", lambda *_: waited.append(answers.wait(10)))
+    Alarms(tmp_path / "alarms.json").sound("service", "warning", "Fault of the service")
+    assert waited == []
+    answers.set()
 
 
 def test_a_disk_is_not_asked_while_events_wait_for_the_answer(

@@ -162,6 +162,7 @@ def test_the_same_alarm_counts_and_a_new_one_comes_first(tmp_path: Path) -> None
     again = Alarms(tmp_path / "alarms.json")
     assert [alarm.key for alarm in again.open] == ["service"]
     assert again.sound("camera left", "warning", "Left camera lost").number == 3
+    assert len(Alarms(tmp_path / "alarms.json").all) == 3
     (tmp_path / "alarms.json").write_text("{")
     assert Alarms(tmp_path / "alarms.json").all == []
 
