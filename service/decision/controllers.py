@@ -1,6 +1,6 @@
 """From evidence to the next move: the paper's heuristic (Eq. 1), and a belief that remembers attempts."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -65,12 +65,12 @@ def axis_command(sign: int, estimate: float, *, first: bool) -> float:
 
 
 def within(command: Command, limits: Limits) -> Command:
-    """The same command, shortened to the service's limits; it is already known to be finite."""
+    """The same command, shortened to the service's limits; raises Refusal if it is not finite."""
+    if not np.isfinite([command.dx_mm, command.dtheta_deg]).all():
+        raise Refusal("non_finite", f"command ({command.dx_mm}, {command.dtheta_deg}) is not finite")
     dx = float(np.clip(command.dx_mm, -limits.max_dx_mm, limits.max_dx_mm))
     dtheta = float(np.clip(command.dtheta_deg, -limits.max_dtheta_deg, limits.max_dtheta_deg))
-    if not np.isfinite([dx, dtheta]).all():
-        raise Refusal("non_finite", f"command ({command.dx_mm}, {command.dtheta_deg}) is not finite")
-    return Command(dx, dtheta, command.controller, command.reason, command.belief)
+    return replace(command, dx_mm=dx, dtheta_deg=dtheta)
 
 
 @dataclass(slots=True)

@@ -129,7 +129,7 @@ def estimates_that_are_no_numbers(_seed: int) -> float:
     guard=Guard("service.decision.controllers:within", "every number counts as finite", blind),
 )
 def commands_that_are_no_numbers(_seed: int) -> float:
-    bad = [(np.nan, 0.0), (0.0, np.nan), (np.nan, np.inf)]
+    bad = [(np.nan, 0.0), (0.0, np.nan), (np.nan, np.inf), (np.inf, 0.0), (0.0, -np.inf)]
     return not_refused([lambda b=b: within(Move(*b, "belief", ""), LIMITS) for b in bad], Refusal)
 
 
