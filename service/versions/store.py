@@ -150,11 +150,12 @@ class Store:
         stream = (self.home / LOCK).open("w")
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except OSError as error:
             stream.close()
-            raise ContractError(
-                f"another service keeps its versions in {self.home}; give each its own --state"
-            ) from None
+            if not isinstance(error, BlockingIOError):
+                raise
+            why = f"another service keeps its versions in {self.home}; give each its own --state"
+            raise ContractError(why) from None
         self._lock = stream
 
 

@@ -1,6 +1,8 @@
 """The wiring on disk survives a kill at any moment, and an edited one is refused."""
 
 import contextlib
+import errno
+import fcntl
 import os
 import shutil
 import signal
@@ -16,7 +18,7 @@ import structlog
 from service.contract import ContractError
 from service.decision.models import load_models
 from service.session.state_machine import DEFAULT_LIMITS
-from service.versions.store import WIRING, Store, version_of
+from service.versions.store import WIRING, Store, Wiring, version_of
 from service.versions.versions import Versions
 from tests.service import tiny_models
 
@@ -192,3 +194,14 @@ def test_a_version_that_a_kill_left_half_removed_is_kept_again(tmp_path: Path, t
         (tmp_path / "versions" / version / "direction.step.onnx").unlink()
         assert store.keep(models) == version
         assert version_of(store.load(version)) == version
+
+
+def test_a_disk_that_keeps_no_locks_is_not_taken_for_another_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unlocked(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", unlocked)
+    with pytest.raises(OSError, match="No locks available"):
+        Store(tmp_path / "versions").wire(Wiring(released="a", active="a"))
