@@ -16,6 +16,7 @@ from service.web.access import Access
 from service.web.metrics import Metrics
 from service.web.middleware import Bodies, RequestLimits
 from service.web.page.status import Status
+from service.web.reading import Reading
 from service.web.routes import api, cameras, health, insertion, live, oip, playback, recordings, status, versions
 
 METHOD_NOT_ALLOWED = 405
@@ -46,8 +47,11 @@ def create_app(station: Station) -> FastAPI:
     page_status = Status(station)
     app.include_router(live.router(station, access, page_status))
     app.include_router(status.router(page_status, access))
-    for module in (api, cameras, oip, playback, recordings, versions):
+    for module in (api, cameras, oip, versions):
         app.include_router(module.router(station, access))
+    reading = Reading(station)
+    for looking_back in (playback, recordings):
+        app.include_router(looking_back.router(station, access, reading))
     app.mount("/dashboard", StaticFiles(directory=live.FOLDER))
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=station.settings.hosts, www_redirect=False)
     app.add_middleware(RequestLimits, requests_per_s=station.settings.requests_per_s, access=access)
@@ -60,14 +64,14 @@ def _refuse_in_one_form(app: FastAPI) -> None:
 
     @app.exception_handler(ContractError)
     async def broken_contract(_: Request, error: ContractError) -> JSONResponse:
-        return refusal(error)
+        return JSONResponse({"error": str(error)}, 400)
 
     @app.exception_handler(HTTPException)
     async def refused(request: Request, error: HTTPException) -> JSONResponse:
         if error.status_code == METHOD_NOT_ALLOWED:
             methods = ", ".join(sorted(allowed_methods(request)))
             error.headers = {"Allow": methods} if methods else error.headers
-        return refusal(error)
+        return JSONResponse({"error": str(error.detail)}, error.status_code, error.headers)
 
     @app.exception_handler(RequestValidationError)
     async def invalid(_: Request, error: RequestValidationError) -> JSONResponse:
@@ -81,10 +85,3 @@ def allowed_methods(request: Request) -> set[str]:
     described: dict[str, dict[str, object]] = request.app.openapi()["paths"]
     matching = [methods for path, methods in described.items() if compile_path(path)[0].match(request.scope["path"])]
     return {method.upper() for methods in matching for method in methods}
-
-
-def refusal(error: ContractError | HTTPException) -> JSONResponse:
-    """Every refusal is ``{"error": ...}``, under /v1 as under /v2."""
-    if isinstance(error, HTTPException):
-        return JSONResponse({"error": str(error.detail)}, error.status_code, error.headers)
-    return JSONResponse({"error": str(error)}, 400)

@@ -24,9 +24,9 @@ POLITELY = 10  # less of the processor than the service
 MOST_AGAIN_BYTES = 320_000_000  # beside the service, within the memory that its unit is given
 
 
-def router(station: Station, access: Access) -> APIRouter:
+def router(station: Station, access: Access, reading: Reading) -> APIRouter:
     routes = APIRouter(prefix="/v1/recordings/{name}", tags=["recordings"], dependencies=[access.require("watch")])
-    deciding, reading = asyncio.Lock(), Reading(station)
+    deciding = asyncio.Lock()
 
     def file_of(name: str) -> Path:
         return recording_file(station.settings.recordings, name)

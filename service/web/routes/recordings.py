@@ -67,10 +67,10 @@ def _list(root: Path, insertion_id: str | None) -> bytes:
     return b'{"recordings":[%b],"problems":%b}' % (listed, to_json(problems))
 
 
-def router(station: Station, access: Access) -> APIRouter:
+def router(station: Station, access: Access, reading: Reading) -> APIRouter:
     routes = APIRouter(prefix="/v1/recordings", tags=["recordings"])
     watch, admin = [access.require("watch")], [access.require("admin")]
-    root, reading = station.settings.recordings, Reading(station)
+    root = station.settings.recordings
 
     @routes.get("", dependencies=watch, response_model=Recordings)
     async def recordings(insertion_id: wire.InsertionId | None = None) -> Response:

@@ -34,6 +34,29 @@ async def test_recordings_are_read_one_at_a_time_and_seldom_during_an_insertion(
     assert sum(ended_s - start_s for start_s, ended_s in spans) <= 0.25 * took_s
 
 
+def test_recordings_are_listed_after_the_one_that_is_being_read(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, answers = threading.Event(), threading.Event()
+
+    def curves(_: object) -> dict[str, Any]:
+        asked.set()
+        answers.wait(60)
+        return {}
+
+    monkeypatch.setattr("service.web.routes.playback.recording_file", lambda *_: None)
+    monkeypatch.setattr("service.web.routes.playback.timeline", curves)
+    with ThreadPoolExecutor() as those:
+        played = those.submit(httpx.get, live.url("/v1/recordings/one/timeline"), timeout=90)
+        try:
+            assert asked.wait(30)
+            with pytest.raises(httpx.ReadTimeout):
+                httpx.get(live.url("/v1/recordings"), timeout=1.0)
+        finally:
+            answers.set()
+        assert played.result().status_code == httpx.get(live.url("/v1/recordings"), timeout=30).status_code == 200
+
+
 async def test_a_recording_that_cannot_be_read_is_refused_as_ever() -> None:
     def broken() -> None:
         raise ValueError("no recording")
