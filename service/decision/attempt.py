@@ -188,8 +188,7 @@ class Attempt:
             return
         onsets = [o.onset_ns for o in both.fingers]
         if self.onset_again:
-            fresh = [watch.update(one.field) for watch, one in zip(self.onset_again, both.fingers, strict=True)]
-            onsets = [None if onset is None else onset.captured_ns for onset in fresh]
+            onsets = [watch.update(one.field) for watch, one in zip(self.onset_again, both.fingers, strict=True)]
         self.onset_ns = min((stamp_ns for stamp_ns in onsets if stamp_ns is not None), default=None)
 
     def dismisses(self, descent: Descent) -> bool:

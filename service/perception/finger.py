@@ -96,10 +96,10 @@ class TactileFinger:
             self._onset.rearm(field)
             self._held = (bulge or 0.0) > _PRESSED
             self._rearm = self._stopped = False
-            onset = None
+            onset_ns = None
         else:
             slip = self._slip.update(marked if self._held else field)
-            onset = self._onset.update(field)
+            onset_ns = self._onset.update(field)
         slip = self._with_contact(slip, empty=untouched(marked))
         touch = self._open.touch(field, small)
         imprint = self._imprint.update(image, field) if self._imprint else None
@@ -108,7 +108,6 @@ class TactileFinger:
             "markers": (tracked - rectified) * 1e3,
             "slip": (time.perf_counter() - tracked) * 1e3,
         }
-        onset_ns = None if onset is None else onset.captured_ns
         stamps, weight = (frame.seq, frame.captured_ns), self._open.weight(field)
         return Observation(self.finger, *stamps, image, field, slip, onset_ns, cost_ms, bulge, touch, imprint, weight)
 

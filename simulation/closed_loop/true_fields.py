@@ -136,15 +136,14 @@ class TrueFieldFinger:
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive the moment at which the frame was taken."""
         field = self._field(frame)
-        onset = None
+        onset_ns = None
         if self._rearm:
             slip = self._slip.rearm(field)
             self._onset.rearm(field)
             self._rearm = False
         else:
-            slip, onset = self._slip.update(field), self._onset.update(field)
+            slip, onset_ns = self._slip.update(field), self._onset.update(field)
         picture = cast("NDArray[np.uint8]", LatePicture(self._cell.picture_later(self._index), self._rectifier))
-        onset_ns = None if onset is None else onset.captured_ns
         stamps, touch = (frame.seq, frame.captured_ns), self._touch(field, picture)
         observation = Observation(self._finger, *stamps, picture, field, slip, onset_ns, {})
         bulge, weight = self._open.bulge(field), self._open.weight(field)

@@ -139,7 +139,8 @@ def onset_of(fields: Iterable[Sequence[MarkerField]]) -> int | None:
     for sequence in fields:
         detector = OnsetDetector()
         detector.rearm(sequence[0])
-        firsts += [onset.index + 1 for onset in map(detector.update, sequence[1:]) if onset][:1]
+        onsets_ns = map(detector.update, sequence[1:])
+        firsts += [frame for frame, onset_ns in enumerate(onsets_ns, 1) if onset_ns is not None][:1]
     return min(firsts, default=None)
 
 

@@ -75,12 +75,12 @@ def test_a_story_of_fields_is_read_as_it_was(name: str) -> None:
     fields, detector, onset, watch = STORIES[name](), SlipDetector(), OnsetDetector(), GraspWatch()
     detector.rearm(fields[0])
     onset.rearm(fields[0])
-    read = []
+    read, stamps_ns = [], [field.captured_ns for field in fields[1:]]
     for field in fields[1:]:
-        state, began = detector.update(field), onset.update(field)
+        state, began_ns = detector.update(field), onset.update(field)
         nodes = [int(state.slipping.sum()), int(state.sticking.sum()), float(np.abs(state.residual_px).sum())]
         moved = [*state.shift_px, state.angle_rad, state.scale]
-        began_n = -1 if began is None else began.index
+        began_n = -1 if began_ns is None else stamps_ns.index(began_ns)
         read.append([state.state, state.stop, state.score, *nodes, *moved, began_n, watch.update(field).state])
     is_as_kept(__file__, f"fields: {name}", read)
 
