@@ -143,7 +143,7 @@ class Attempt:
         self.reference, self.stage = both, Stage.ARMED
         self.ring.append(both)
         self.watched_ns = min(o.captured_ns for o in both.fingers)
-        self.armed = Armed(**self._named, reference_seq=both.seq, frame_captured_ns=self.watched_ns)
+        self.armed = Armed(**self.named, reference_seq=both.seq, frame_captured_ns=self.watched_ns)
         return self.armed
 
     def _upright(self, both: PairObservation) -> wire.Straighten | Refused | None:
@@ -153,18 +153,19 @@ class Attempt:
         self.tilt.lifted(both)
         if (tilt_deg := self.tilt.straightening()) is not None:
             self.stage = Stage.STRAIGHTENING
-            return wire.Straighten(**self._named, tilt_deg=tilt_deg, detail=f"it is {self.tilt}")
+            return wire.Straighten(**self.named, tilt_deg=tilt_deg, detail=f"it is {self.tilt}")
         why = self.tilt.askew(both)
         return self.refusal("turned_in_hand", why) if why else None
 
     @property
-    def _named(self) -> dict[str, Any]:
+    def named(self) -> dict[str, Any]:
+        """The fields by which a message says that it is about this attempt."""
         return {"insertion_id": self.arm.insertion_id, "attempt": self.arm.attempt}
 
     def refusal(self, reason: wire.RefusalReason, detail: str) -> Refused:
         """The refusal to arm this attempt, which ends it."""
         self.stage = Stage.DECIDED
-        return Refused(**self._named, reason=reason, detail=detail)
+        return Refused(**self.named, reason=reason, detail=detail)
 
     def watching(self, observation: Observation, now_ns: int) -> Iterator[Watching]:
         """`watching`, if with this frame both fingers have been judged on newer frames than before.
@@ -177,7 +178,7 @@ class Attempt:
         oldest_ns = min(self._informed_ns.values())
         if len(self._informed_ns) == len(FINGERS) and oldest_ns > self.watched_ns:
             self.watched_ns = oldest_ns
-            yield Watching(**self._named, frame_captured_ns=oldest_ns, judged_ns=now_ns)
+            yield Watching(**self.named, frame_captured_ns=oldest_ns, judged_ns=now_ns)
 
     def take_in(self, both: PairObservation) -> None:
         """Add a pair after the reference; it may show the onset of motion."""

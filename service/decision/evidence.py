@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from service.contract import ContractError, ErrorClass, ModelCard
 from service.contract.wire import Estimate, NoDecisionReason
-from service.decision.models import Array, LoadedModel, ModelSet
+from service.decision.models import Array, ModelSet
 
 Floats = NDArray[np.float64]
 Z_90 = 1.6448536269514722  # a normal variable lies within this many sigmas with probability 0.9
@@ -115,15 +115,11 @@ class DecisionRun:
         """Advance every network by one pair; raise ContractError on a frame of the wrong shape."""
         self._models.card.check(frame)
         started = time.perf_counter()
-        self._outputs = [self._advance(index, step, frame) for index, step in enumerate(self._models.steps)]
+        pairs = zip(self._models.steps, self._states, strict=True)
+        advanced = [step.step(frame, self._reference, state, *self._geometry) for step, state in pairs]
+        self._outputs, self._states = [outputs for outputs, _ in advanced], [state for _, state in advanced]
         self.step_ms = (time.perf_counter() - started) * 1e3
         self.frames_n += 1
-
-    def _advance(
-        self, index: int, step: LoadedModel, frame: NDArray[np.uint8] | NDArray[np.float32]
-    ) -> dict[str, Array]:
-        outputs, self._states[index] = step.step(frame, self._reference, self._states[index], *self._geometry)
-        return outputs
 
     def _check_count(self) -> None:
         card = self._models.card

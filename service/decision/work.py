@@ -1,7 +1,7 @@
 """The networks' work for one attempt, and the rules by which their evidence becomes a correction or is refused."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.consistency import turns_deg
 from service.decision.controllers import Command
 from service.decision.evidence import DecisionRun, Evidence, Refusal, paused
-from service.decision.models import ModelSet
+from service.decision.models import Array, ModelSet
 from service.decision.network_input import Descent, check_trained, network_pair
 from service.perception.observation import Observation, PairObservation
 from service.settings import Deadlines
@@ -47,14 +47,27 @@ def plan_work(models: ModelSet, attempt: Attempt, pair: PairObservation) -> Work
             refused = WorkResult(*named, None, refusal, {})
             return Work(lambda: refused)
         attempt.run = DecisionRun(models, reference, attempt.arm.gap_width_mm, attempt.arm.grasp_height_mm)
-    run, pairs = attempt.run, attempt.decision_pairs
+    pairs = attempt.decision_pairs
     complete = pair is pairs[-1] and len(pairs) >= models.card.frames_per_decision
-
     attempt.fed = attempt.fed or complete
+    return _steps(attempt, attempt.run, pair, lambda: [network_pair(models.card, pair)], complete=complete)
+
+
+def _steps(
+    attempt: Attempt,
+    run: DecisionRun,
+    pair: PairObservation,
+    shown: Callable[[], Iterable[Array]],
+    *,
+    complete: bool,
+) -> Work:
+    """The networks' steps on what is ``shown`` up to ``pair``; those that make the input ``complete`` have a result."""
+    named = attempt.arm.insertion_id, attempt.generation
 
     def compute() -> WorkResult | None:
         try:
-            run.step(network_pair(models.card, pair))
+            for one in shown():
+                run.step(one)
             if not complete:
                 return None
             return WorkResult(*named, run.evidence(), None, latencies(run, pair), run)
@@ -71,39 +84,27 @@ def plan_steps(models: ModelSet, attempt: Attempt) -> list[Work]:
 
     There are none after the card's last step, after an order to stop, or where no depth is known.
     """
+    assert models.card.pressing is not None
     if attempt.fed:
         return []
     steps, pair, descent = attempt.take_steps(models.card), attempt.ring[-1], attempt.descent
-    steps = steps[: max(0, _read_n(models) - len(attempt.steps) + len(steps))]
+    read_n = models.card.pressing.steps_n
+    steps = steps[: max(0, read_n - len(attempt.steps) + len(steps))]
     if descent is None or attempt.dismisses(descent):
         return []
-    named, problem = (attempt.arm.insertion_id, attempt.generation), descent.problem
+    problem = descent.problem
     attempt.fed = descent.enough or attempt.spoilt or attempt.stage is Stage.STOPPED or problem is not None
     if attempt.run is None:
         attempt.run = _run_of_steps(models, attempt, descent)
-    run, complete = attempt.run, attempt.fed
+    if not (steps or attempt.fed):
+        return []
 
-    def compute() -> WorkResult | None:
-        try:
-            for step in steps:
-                run.step(step)
-            if not complete:
-                return None
-            if problem is not None:
-                raise problem
-            return WorkResult(*named, run.evidence(), None, latencies(run, pair), run)
-        except Refusal as refusal:
-            return WorkResult(*named, None, refusal, {}, run)
-        except Exception as error:
-            return WorkResult(*named, None, Refusal("non_finite", f"the networks failed: {error}"), {}, run)
+    def shown() -> Iterator[Array]:
+        yield from steps
+        if problem is not None:
+            raise problem
 
-    return [Work(compute)] if steps or complete else []
-
-
-def _read_n(models: ModelSet) -> int:
-    """Number of steps of depth that the networks read."""
-    assert models.card.pressing is not None
-    return models.card.pressing.steps_n
+    return [_steps(attempt, attempt.run, pair, shown, complete=attempt.fed)]
 
 
 def _run_of_steps(models: ModelSet, attempt: Attempt, descent: Descent) -> DecisionRun:
@@ -157,11 +158,10 @@ def check_evidence(models: ModelSet, attempt: Attempt, evidence: Evidence) -> No
             raise Refusal("out_of_distribution", detail)
 
 
-def slip_message(insertion_id: str, attempt: Attempt, observation: Observation, now_ns: int) -> wire.Slip:
+def slip_message(attempt: Attempt, observation: Observation, now_ns: int) -> wire.Slip:
     """The order to stop: the frame and finger with the slip, and the frame's age."""
     return wire.Slip(
-        insertion_id=insertion_id,
-        attempt=attempt.arm.attempt,
+        **attempt.named,
         finger=observation.finger,
         frame_seq=observation.seq,
         captured_ns=observation.captured_ns,
@@ -178,21 +178,17 @@ def enough_message(attempt: Attempt) -> Iterator[wire.Enough]:
     if attempt.stage is Stage.ARMED and not attempt.slip_sent and descent is not None and descent.enough:
         attempt.stops(pair.captured_ns)
         yield wire.Enough(
-            insertion_id=attempt.arm.insertion_id,
-            attempt=attempt.arm.attempt,
+            **attempt.named,
             frame_seq=pair.seq,
             captured_ns=pair.captured_ns,
             pressed_mm=descent.pressed_mm,
         )
 
 
-def correction(
-    insertion_id: str, attempt: Attempt, evidence: Evidence, command: Command, latency_ms: dict[str, float]
-) -> wire.Correction:
+def correction(attempt: Attempt, evidence: Evidence, command: Command, latency_ms: dict[str, float]) -> wire.Correction:
     """The message with a command and its evidence."""
     return wire.Correction(
-        insertion_id=insertion_id,
-        attempt=attempt.arm.attempt,
+        **attempt.named,
         dx_mm=command.dx_mm,
         dtheta_deg=command.dtheta_deg,
         class_probabilities=evidence.class_probabilities(),

@@ -89,7 +89,7 @@ class Decider:
             command = self.controller.decide(evidence, attempt.arm.attempt)
         except Refusal as refusal:
             return self._refuse(attempt, refusal)
-        decided = correction(self.insertion_id, attempt, evidence, command, latency_ms)
+        decided = correction(attempt, evidence, command, latency_ms)
         if self.consistency is not None:
             self.consistency.move(decided)
         latency_ms = latency_ms | {
@@ -112,13 +112,8 @@ class Decider:
 
     def _refuse(self, attempt: Attempt, refusal: Refusal) -> Decision:
         self.controller.blocked_without_evidence()
-        return wire.NoDecision(
-            insertion_id=self.insertion_id,
-            attempt=attempt.arm.attempt,
-            reason=refusal.reason,
-            detail=str(refusal),
-            turns_deg=shown_turns_deg(attempt),
-        )
+        turns_deg = shown_turns_deg(attempt)
+        return wire.NoDecision(**attempt.named, reason=refusal.reason, detail=str(refusal), turns_deg=turns_deg)
 
 
 def decider_of(

@@ -194,7 +194,7 @@ class InsertionSession:
         if not observation.slip.stop:
             return [*attempt.watching(observation, now_ns)]
         attempt.stops(observation.captured_ns)
-        return [slip_message(str(self.insertion_id), attempt, observation, now_ns)]
+        return [slip_message(attempt, observation, now_ns)]
 
     def on_pair(self, pair: FramePair, now_ns: int) -> Replies:
         """Process both fingers' frames of one instant: slip, reference, onset, and the frames of the decision."""

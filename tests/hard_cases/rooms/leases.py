@@ -168,7 +168,7 @@ def clocks_that_stood_still(seed: int) -> float:
 
 def for_one(_watching: Callable[..., Any]) -> Callable[..., Any]:
     def watching(attempt: Attempt, observation: Observation, now_ns: int) -> Iterator[wire.Watching]:
-        yield wire.Watching(**attempt._named, frame_captured_ns=observation.captured_ns, judged_ns=now_ns)
+        yield wire.Watching(**attempt.named, frame_captured_ns=observation.captured_ns, judged_ns=now_ns)
 
     return watching
 

@@ -179,11 +179,11 @@ def test_a_correction_is_no_surer_than_certain_and_tells_the_turn_of_its_newest_
     attempt = descent()
     attempt.ring.clear()
     attempt.ring.extend([at(1), pair(turn_rad=math.nan), pair(turn_rad=0.01)])
-    message = correction("one", attempt, sure, Command(1.0, 2.0, "belief", "why"), {})
+    message = correction(attempt, sure, Command(1.0, 2.0, "belief", "why"), {})
     assert message.confidence == 1.0
     assert message.turns_deg == pytest.approx((math.degrees(0.01), -math.degrees(0.01)))
     attempt.ring.append(pair(turn_rad=math.nan))
-    assert correction("one", attempt, sure, Command(1.0, 2.0, "belief", "why"), {}).turns_deg is None
+    assert correction(attempt, sure, Command(1.0, 2.0, "belief", "why"), {}).turns_deg is None
 
 
 def test_the_order_to_stop_names_the_newest_pair_and_its_capture_is_the_last_that_is_read() -> None:

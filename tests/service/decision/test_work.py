@@ -138,7 +138,7 @@ def test_why_nothing_moved_is_told_from_why_nothing_is_touched(left: Any, right:
 
 def test_a_slip_is_as_old_as_its_frame() -> None:
     shown = replace(pair().left, seq=7, captured_ns=40_000_000)
-    slip = slip_message("one", descent(), shown, 47_500_000)
+    slip = slip_message(descent(), shown, 47_500_000)
     assert (slip.frame_seq, slip.captured_ns, slip.age_ms, slip.score) == (7, 40_000_000, 7.5, 0.0)
     assert slip.pressed_mm is None, "no contact is known"
 
