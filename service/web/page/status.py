@@ -14,7 +14,7 @@ from service.observability.hub import Hub
 from service.session.station import Station
 from service.web.page.alarms import FILE, Alarms
 from service.web.page.past import Last, newest
-from service.web.page.running import Running
+from service.web.page.running import ANSWERED, Running
 from service.web.page.sentences import CHARTS, PHASES, changed, ended, event, versions
 
 EVENTS_N = 30
@@ -80,29 +80,25 @@ class Status:
     # ---- events -----------------------------------------------------------------------------------------------------
 
     def _on_message(self, message: Any) -> None:
-        if isinstance(message, wire.ServiceHello) and not self._is_running(message.insertion_id):
-            self._begin(message.insertion_id)
-        if text := event(message, self._running.earlier_n if self._running else 0):
+        running = self._running
+        if isinstance(message, wire.ServiceHello) and not (running and running.insertion_id == message.insertion_id):
+            running = self._running = self._opened(message.insertion_id)
+        if text := event(message, running.earlier_n if running else 0):
             self._events.append({"at_s": time.time(), "kind": message.type, "text": text})
-        if not self._is_running(message.insertion_id):
+        if running is None or running.insertion_id != message.insertion_id:
             return
-        assert self._running is not None
         if isinstance(message, wire.Finished):
-            self._on_finished(message, self._running)
+            self._on_finished(message, running)
         else:
-            self._running.from_service(message)
+            running.from_service(message)
 
-    def _begin(self, insertion_id: str) -> None:
-        """An insertion opens: a new one, or one that continues with a regrasped object."""
+    def _opened(self, insertion_id: str) -> Running:
+        """An insertion that opens: a new one, or one that continues with a regrasped object."""
         before, self._put_back = self._put_back, None
         if before is not None and before.insertion_id == self._continues:
-            self._running = before.goes_on(insertion_id)
-        else:
-            self._running = Running(insertion_id)
-            self._events.clear()
-
-    def _is_running(self, insertion_id: str) -> bool:
-        return self._running is not None and self._running.insertion_id == insertion_id
+            return before.goes_on(insertion_id)
+        self._events.clear()
+        return Running(insertion_id)
 
     def _on_client(self, message: Any) -> None:
         if isinstance(message, wire.ClientHello):
@@ -226,7 +222,7 @@ class Status:
                 counted = "Regrasped: "
             words = PHASES.get(running.phase, running.phase)
             text = words[0].lower() + words[1:] if counted else words
-            level = "warning" if running.phase in {"no_decision", "refused"} or bad else "busy"
+            level = "warning" if running.phase in ANSWERED or bad else "busy"
             detail = ". ".join(part for part in (unseen, running.problem) if part)
             return {"level": level, "words": counted + text, "detail": detail}
         if stop is not None:
