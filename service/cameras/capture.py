@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from service.contract import ContractError, Finger, FramePair, TactileFrame
 from service.contract.frames import FINGERS
 from service.contract.wire import CameraEntry, FaultCode
+from service.contract.wire_parts import CameraState
 
 RETRY_S = 0.25  # a returned camera is noticed within 1 s
 STALL_S = 0.5  # no frame for this long is a stall
 GLANCE_EVERY = 4  # without attention one frame in this many is decoded; the others only show that the camera lives
 MAX_BROKEN = 10  # consecutive undecodable JPEGs before the camera is reopened
 WAITING_N = 8  # frames that wait for the other finger's: 90 ms at 90 frames a second
-State = Literal["live", "stalled", "lost", "starting"]
 log = structlog.get_logger()
 
 
@@ -94,7 +94,7 @@ class Camera:
     ) -> None:
         self.finger = finger
         self.source = source
-        self.state: State = "starting"
+        self.state: CameraState = "starting"
         self.latest: CameraFrame | None = None
         self.newest_ns: int | None = None
         self.frames_n = 0
@@ -211,7 +211,7 @@ class Camera:
         self._broken_n = 0
         return pixels
 
-    def _fault(self, state: State, code: FaultCode, detail: str) -> None:
+    def _fault(self, state: CameraState, code: FaultCode, detail: str) -> None:
         changed = self.state != state or code == "camera_size"
         self.state, self.last_fault = state, detail
         self._stamps.clear()
@@ -237,16 +237,13 @@ class Pairer:
         self._lock = threading.Lock()
         self.dropped_n = 0
 
-    def _allowed_ns(self) -> float:
-        return 0.6 * max(self._period_ns.values(), default=33e6)
-
     def add(self, frame: TactileFrame) -> FramePair | None:
         """Add a frame; returns the pair that it completes."""
         with self._lock:
             self._measure(frame)
             mine = self._waiting[frame.finger]
             others = self._waiting["right" if frame.finger == "left" else "left"]
-            allowed_ns = self._allowed_ns()
+            allowed_ns = 0.6 * max(self._period_ns.values(), default=33e6)
             fits = (one for one in reversed(others) if abs(frame.captured_ns - one.captured_ns) <= allowed_ns)
             if (partner := next(fits, None)) is None:
                 self.dropped_n += len(mine) == WAITING_N

@@ -164,7 +164,7 @@ def header_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False)
     ``same_clock``: earlier stamps of this stream were of this clock, so an old stamp is really old. Raises CameraError
     if there is none any more.
     """
-    stamp = _STAMP.search(header.replace(b"\r\n", b"\n"))
+    stamp = _STAMP.search(header)
     if stamp is None:
         if same_clock:
             raise CameraError("a part bears no X-Timestamp, unlike those before: its age is unknown")

@@ -13,6 +13,7 @@ MAX_SAMPLES = 64
 MOST_WAITED_NS = 600_000_000_000
 Outcome = Literal["blocked", "inserted", "dropped", "stopped"]
 ControllerName = Literal["heuristic", "belief"]
+CameraState = Literal["live", "stalled", "lost", "starting"]
 Cause = Literal[
     "operator",  # a person's wish
     "probed",  # a probe did what it was asked to; like an operator's wish, this is no failure
@@ -114,7 +115,7 @@ class CameraEntry(Contract):
 
     finger: Finger
     source: str
-    state: Literal["live", "stalled", "lost", "starting"]
+    state: CameraState
     frame_rate_hz: float | None = None
     gel: str = Field(default="", max_length=64)
 

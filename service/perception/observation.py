@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import Finger, FramePair, TactileFrame
+from service.contract import Finger, TactileFrame
 from service.perception.markers.field import MarkerField
 from service.perception.slip.detector import SlipState
 from service.perception.slip.imprint import ImprintChange
@@ -121,12 +121,6 @@ class PairObservation:
         fields = self.left.field, self.right.field
         places = [np.where(one.valid[..., None], one.rest_px + one.displacement_px, np.nan) for one in fields]
         return np.stack(places).astype(np.float32)
-
-
-def belongs(observation: Observation, pair: FramePair) -> bool:
-    """Whether an observation is of this pair's frame of the same finger."""
-    frame = pair.left if observation.finger == "left" else pair.right
-    return observation.seq == frame.seq and observation.captured_ns == frame.captured_ns
 
 
 def nothing_held(both: PairObservation) -> str:

@@ -13,7 +13,7 @@ correct its result (:mod:`service.perception.lens`). Measurements are stored wit
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -73,7 +73,7 @@ class CameraCalibration:
     def __post_init__(self) -> None:
         matrix = np.asarray(self.homography, np.float64)
         if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
-            raise CalibrationError(f"homography must be 3 x 3 finite numbers, got {np.asarray(matrix).tolist()}")
+            raise CalibrationError(f"homography must be 3 x 3 finite numbers, got {matrix.tolist()}")
         scale = np.linalg.norm(matrix)
         if not scale > 0 or abs(np.linalg.det(matrix / scale)) < 1e-12:
             raise CalibrationError("homography is degenerate (its determinant vanishes)")
@@ -158,8 +158,7 @@ class Calibration:
         """Write the file that :meth:`load` reads back exactly."""
         lines = [f"schema_version = {SCHEMA_VERSION}"]
         for finger in FINGERS:
-            camera = self.camera(finger)
-            lines += _written(finger, camera)
+            lines += _written(finger, self.camera(finger))
         Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -219,9 +218,7 @@ def _written(finger: Finger, camera: CameraCalibration) -> list[str]:
         lines += [f"warp_low_px = {warp.low.tolist()!r}", f"warp_high_px = {warp.high.tolist()!r}"]
         lines += [f"warp_px = {_matrix(warp.coefficients)}"]
     if measured is not None:
-        values = {name: getattr(measured, name) for name in ("date", "serial", "residual_px", "found_share")}
-        lines += [f"{name} = {json.dumps(value)}" for name, value in values.items()]
-        lines += [f"fingerprint = {json.dumps(measured.fingerprint)}"]
+        lines += [f"{name} = {json.dumps(value)}" for name, value in asdict(measured).items()]
     return lines
 
 

@@ -244,7 +244,6 @@ class Recorder:
         """Give the file its final name; an incomplete one is left for a recovery."""
         try:
             self._mcap.close()
-            self._stream.flush()
             put_on_disk(self.folder)
             if not self._stuck:
                 (self.folder / PART).rename(self.path)

@@ -7,7 +7,7 @@ import numpy as np
 from service.contract import FINGERS, Finger, FramePair, TactileFrame
 from service.contract.wire import Doubt
 from service.decision.attempt import Attempt
-from service.perception.observation import WEIGHED_SHARE, FingerWatch, Observation, PairObservation, belongs
+from service.perception.observation import WEIGHED_SHARE, FingerWatch, Observation, PairObservation
 from service.perception.slip.phases import Grasp
 from service.perception.slip.slide import SlideWitness
 
@@ -66,10 +66,8 @@ class Fingers:
 
     def missing(self, pair: FramePair) -> list[TactileFrame]:
         """The frames of a pair that have not been perceived yet."""
-        frames = (pair.left, pair.right)
-        return [
-            f for f in frames if f.finger not in self._observations or not belongs(self._observations[f.finger], pair)
-        ]
+        stamps = {finger: (one.seq, one.captured_ns) for finger, one in self._observations.items()}
+        return [one for one in (pair.left, pair.right) if stamps.get(one.finger) != (one.seq, one.captured_ns)]
 
     def both(self) -> PairObservation:
         """The newest observations of both fingers."""

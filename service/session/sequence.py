@@ -14,15 +14,19 @@ ENDS = ("slip", "enough")
 
 
 def decide(
-    models: ModelSet, pairs: Sequence[FramePair], gap_width_mm: float, **conditions: float | None
+    models: ModelSet,
+    pairs: Sequence[FramePair],
+    gap_width_mm: float,
+    *,
+    speed_mm_s: float | None = None,
+    **conditions: float | None,
 ) -> wire.Correction:
     """A session's answer to one attempt with these rectified pairs, starting from rest, at rising stamps.
 
-    ``conditions``: ``speed_mm_s`` of the descent, required by networks that read depth, and the grip, shear reach and
-    grasp height as in `wire.Arm`. The arm counts as stopped where the session orders it, else at the last pair. Raises
+    ``speed_mm_s`` of the descent is required by networks that read depth; ``conditions``: grip, shear reach and grasp
+    height as in `wire.Arm`. The arm counts as stopped where the session orders it, else at the last pair. Raises
     Refusal with the reason if there is no correction.
     """
-    speed_mm_s = conditions.pop("speed_mm_s", None)
     named: dict[str, Any] = {"insertion_id": NAME, "attempt": 1}
     session, began_ns = make_session(models), pairs[0].captured_ns
     stated = named | conditions | {"gap_width_mm": gap_width_mm, "expected_depth_mm": 1000.0}

@@ -78,6 +78,7 @@ class Station:
         self.manager = InsertionManager(
             settings, self.versions.active, calibration, self.cameras, self.hub, self._submit, self.versions
         )
+        self._ticked_ns = 0
         self._thread = threading.Thread(target=self._run, name="perception", daemon=True)
 
     # ---- life ------------------------------------------------------------------------------------------------------
@@ -223,8 +224,6 @@ class Station:
     def _tick_if_due(self) -> None:
         if now_ns() - self._ticked_ns > TICK_S * 1e9:
             self._tick()
-
-    _ticked_ns = 0
 
     def _on_camera_fault(self, finger: Finger, code: wire.FaultCode, detail: str) -> None:
         self.hub.publish("camera_fault", {"finger": finger, "code": code, "detail": detail})

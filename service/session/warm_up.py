@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.cameras.capture import CameraFrame, now_ns
-from service.contract import FramePair, TactileFrame, wire
+from service.contract import FINGERS, FramePair, TactileFrame, wire
 from service.decision.controllers import make_controller
 from service.decision.evidence import DecisionRun, Refusal
 from service.recordings.writer import Recorder
@@ -27,7 +27,7 @@ def warm_up(session: InsertionSession, frames: Sequence[TactileFrame]) -> None:
 
     ``frames``: the cameras' present frames, one per finger. Raises ContractError if one is neither raw nor rectified.
     """
-    if len(frames) == len(FramePair.__dataclass_fields__):
+    if len(frames) == len(FINGERS):
         with _recorder() as recorder:
             _attempt(Insertion(session, recorder, _serialise, _nobody_watches), frames)
         session.on_attempt = ignore  # it refers to its insertion, which would be freed late

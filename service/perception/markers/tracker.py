@@ -51,10 +51,6 @@ class MarkerTracker:
 
     def __init__(self) -> None:
         self.settings = TrackerSettings()
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the grid; the next frame starts over."""
         self._lattice: Lattice | None = None
         self._detector: MarkerDetector | None = None
         self._shape: tuple[int, ...] | None = None
@@ -84,7 +80,7 @@ class MarkerTracker:
         if image.dtype != np.uint8 or image.ndim not in {2, 3} or (image.ndim == 3 and image.shape[2] != 3):
             raise ValueError(f"frame is {image.dtype}{list(image.shape)}, expected uint8 [height, width, 3]")
         if self._shape is not None and image.shape != self._shape:
-            raise ValueError(f"frame is {list(image.shape)}, the tracker began with {list(self._shape)}; reset() first")
+            raise ValueError(f"frame is {list(image.shape)}, the tracker began with {list(self._shape)}")
 
     def _start(self, image: NDArray[np.uint8]) -> bool:
         lattice = find_lattice(image)

@@ -1,7 +1,6 @@
 """The service's own HTTP interface: /v1."""
 
 import asyncio
-from functools import partial
 from itertools import pairwise
 from typing import Annotated, Any
 
@@ -91,7 +90,7 @@ def router(station: Station, access: Access) -> APIRouter:
             pairs = _pairs(body, station)
         refuse_while_busy()  # reading it took time
         async with deciding:
-            answer = await asyncio.to_thread(partial(decide, station.models, pairs, **conditions.model_dump()))
+            answer = await asyncio.to_thread(decide, station.models, pairs, **conditions.model_dump())
         return Estimated.model_validate(answer.model_dump(include=set(Estimated.model_fields)))
 
     return routes

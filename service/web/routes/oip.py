@@ -94,10 +94,10 @@ class Served:
 
     def model(self, name: str, version: str) -> LoadedModel:
         """The model of a name; raises HTTPException 404 with the names there are."""
-        file = f"{name}.onnx"
-        model = next((model for model in self.station.models.models if model.path.name == file), None)
+        models = self.models()
+        model = models.get(name)
         if model is None or version != VERSION:
-            raise HTTPException(404, f"unknown model {name} version {version}, expected {list(self.models())}")
+            raise HTTPException(404, f"unknown model {name} version {version}, expected {list(models)}")
         return model
 
     async def infer(self, request: Request, name: str, version: str) -> Response:
