@@ -8,6 +8,7 @@ and services share the machine's cores.
 import os
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -33,3 +34,19 @@ def pytest_collection_finish() -> None:
 def anyio_backend() -> str:
     """Tests that are coroutines run on the event loop of the product."""
     return "asyncio"
+
+
+@pytest.fixture(scope="session")
+def models_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Tiny networks, as a folder."""
+    from tests.service import tiny_models
+
+    return tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny")
+
+
+@pytest.fixture(scope="session")
+def models(models_folder: Path) -> Any:
+    """The same, as the service loads them."""
+    from service.decision.models import load_models
+
+    return load_models(models_folder)

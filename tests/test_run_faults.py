@@ -10,7 +10,6 @@ import httpx
 import pytest
 
 from simulation.cell import run
-from tests.service import tiny_models
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -37,15 +36,10 @@ FAULTS = {
 }
 
 
-@pytest.fixture(scope="module")
-def models(tmp_path_factory):
-    return tiny_models.write_models(tmp_path_factory.mktemp("models"))
-
-
 @pytest.fixture
-def loop(tmp_path, models):
+def loop(tmp_path, models_folder):
     """Cell, service and client up to the beginning of the first descent."""
-    options = run.RunOptions(models=models, out=tmp_path)
+    options = run.RunOptions(models=models_folder, out=tmp_path)
     start = run.Start("rectangle", 8.0, 6.0, 0)
     with run.loop(start, options, tmp_path / "run") as processes:
         yield processes

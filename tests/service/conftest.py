@@ -14,15 +14,10 @@ from service.session.station import Station, open_station
 from service.settings import Settings
 from service.web.app import create_app
 from service.web.server import bind, web_server
-from tests.service import drawn, tiny_models
+from tests.service import drawn
 from tests.service.mjpeg import FakeFinger
 
 rehearsed: set[Path] = set()  # the models that a service of this process has warmed up with
-
-
-@pytest.fixture(scope="session")
-def models_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny")
 
 
 @dataclass

@@ -7,7 +7,7 @@ import pytest
 from service.contract import CARD_KEY, ContractError, ModelCard
 from service.contract.model_card import CONDITIONS
 from service.decision.evidence import DecisionRun, Refusal
-from service.decision.models import load_models
+from service.decision.models import ModelSet, load_models
 from tests.service import tiny_models
 
 RELEASED = Path(__file__).parents[3] / "models" / "pressing"
@@ -104,8 +104,7 @@ def test_a_graph_that_does_not_run_on_what_its_card_says_is_refused(tmp_path: Pa
         load_models(folder)
 
 
-def test_a_decision_run_needs_all_its_frames_and_their_shape(tmp_path: Path) -> None:
-    models = load_models(tiny_models.write_models(tmp_path))
+def test_a_decision_run_needs_all_its_frames_and_their_shape(models: ModelSet) -> None:
     frame = np.full((2, 320, 327, 3), 90, np.uint8)
     run = DecisionRun(models, frame, 56.0)
     for _ in range(7):
@@ -132,8 +131,7 @@ def test_what_is_not_known_of_an_attempt_is_read_as_nothing() -> None:
     assert any(not np.array_equal(value, other[name]) for name, value in answers[0].items())
 
 
-def test_state_is_passed_on_through_onnxruntime(tmp_path: Path) -> None:
-    models = load_models(tiny_models.write_models(tmp_path))
+def test_state_is_passed_on_through_onnxruntime(models: ModelSet) -> None:
     step = models.steps[0]
     frame, dark = np.full((2, 320, 327, 3), 90, np.uint8), np.full((2, 320, 327, 3), 80, np.uint8)
     state = step.fresh_state()

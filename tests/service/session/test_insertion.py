@@ -10,7 +10,7 @@ import pytest
 
 from service.cameras.capture import CameraFrame
 from service.contract import FINGERS, wire
-from service.decision.models import ModelSet, load_models
+from service.decision.models import ModelSet
 from service.recordings.reader import Recording
 from service.recordings.writer import Recorder
 from service.session.factory import make_session
@@ -59,11 +59,6 @@ class Witness:
         stopped = wire.Stopped(insertion_id="first", attempt=1, depth_mm=6.0, outcome="blocked")
         self.insertion.message(stopped)
         self.events.clear()
-
-
-@pytest.fixture(scope="module")
-def models(models_folder: Path) -> ModelSet:
-    return load_models(models_folder)
 
 
 @pytest.fixture

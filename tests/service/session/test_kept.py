@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from service.contract import FramePair, TactileFrame, wire
-from service.decision.models import ModelSet, load_models
+from service.decision.models import ModelSet
 from service.session.factory import make_session
 from service.session.fingers import gels_of
 from service.session.state_machine import InsertionSession
@@ -17,11 +17,6 @@ ID = "kept"
 AT_REST = 10**6
 MS = 1_000_000
 LEFT_OUT = {"insertion_id", "latency_ms", "models", "cameras", "protocol", "type"}
-
-
-@pytest.fixture(scope="module")
-def models(models_folder: Any) -> ModelSet:
-    return load_models(models_folder)
 
 
 def open_pair(seq: int, stamp_ns: int) -> FramePair:

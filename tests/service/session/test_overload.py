@@ -1,7 +1,6 @@
 """More frames than can be perceived: the newest win, and slip is judged on recent frames. In simulated time."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 
 from service.cameras.capture import CameraFrame
 from service.contract import FINGERS, FramePair, TactileFrame
-from service.decision.models import load_models
+from service.decision.models import ModelSet
 from service.session.station import Station
 from service.settings import Settings
 
@@ -20,11 +19,11 @@ MS = 1_000_000
 
 
 @pytest.fixture(scope="module")
-def idle(tmp_path_factory: pytest.TempPathFactory, models_folder: Path) -> Iterator[Station]:
+def idle(tmp_path_factory: pytest.TempPathFactory, models: ModelSet) -> Iterator[Station]:
     """A station whose threads were never started: the test is its clock and its perception thread."""
     folder = tmp_path_factory.mktemp("overload")
-    settings = Settings(models=models_folder, camera_left="push:", camera_right="push:", recordings=folder)
-    station = Station(settings, load_models(models_folder), None)
+    settings = Settings(models=folder, camera_left="push:", camera_right="push:", recordings=folder)
+    station = Station(settings, models, None)
     yield station
     station._networks.shutdown()
 

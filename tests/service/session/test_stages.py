@@ -7,18 +7,13 @@ import pytest
 
 from service.contract import wire
 from service.decision.held_tilt import HeldTilt
-from service.decision.models import ModelSet, load_models
+from service.decision.models import ModelSet
 from service.session.factory import make_session
 from service.session.state_machine import InsertionSession
 from tests.service import drawn
 
 ID = "stages"
 S = 10**9
-
-
-@pytest.fixture(scope="module")
-def models(models_folder: Any) -> ModelSet:
-    return load_models(models_folder)
 
 
 @pytest.fixture

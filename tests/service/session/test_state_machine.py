@@ -5,17 +5,12 @@ import numpy as np
 import pytest
 
 from service.contract import wire
-from service.decision.models import ModelSet, load_models
+from service.decision.models import ModelSet
 from service.session.factory import make_session
 from service.session.state_machine import InsertionSession
-from tests.service import drawn, tiny_models
+from tests.service import drawn
 
 ID = "test-1"
-
-
-@pytest.fixture(scope="session")
-def models(tmp_path_factory: pytest.TempPathFactory) -> ModelSet:
-    return load_models(tiny_models.write_models(tmp_path_factory.mktemp("models") / "m"))
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 from simulation.__main__ import main
-from tests.service import tiny_models
 from tests.simulation.strategies import made_up_dataset, made_up_trial
 
 REFUSED = [
@@ -28,9 +27,9 @@ REFUSED = [
 
 
 @pytest.fixture(scope="module")
-def folders(tmp_path_factory) -> dict[str, Path]:
+def folders(tmp_path_factory, models_folder) -> dict[str, Path]:
     data = made_up_dataset(tmp_path_factory.mktemp("data"), [made_up_trial(k) for k in range(12)])
-    return {"DATA": data, "MODELS": tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny")}
+    return {"DATA": data, "MODELS": models_folder}
 
 
 @pytest.mark.parametrize(("line", "named"), REFUSED, ids=[line for line, _ in REFUSED])

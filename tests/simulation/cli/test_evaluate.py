@@ -10,7 +10,6 @@ from simulation.cli import evaluate
 from simulation.closed_loop import campaign
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.statistics import Row
-from tests.service import tiny_models
 from tests.simulation.closed_loop.test_evaluation import ROW
 from tests.simulation.studies.test_wiring import probe
 
@@ -42,7 +41,7 @@ def as_wired(task: campaign.Task) -> Row:
     return {**ROW, **answer, **job, "made_by": task.made_by}
 
 
-def test_nothing_is_inserted_in_a_cell_that_is_wired_wrong(worlds, tmp_path, monkeypatch):
+def test_nothing_is_inserted_in_a_cell_that_is_wired_wrong(worlds, models_folder, tmp_path, monkeypatch):
     played = list[campaign.Task]()
 
     def play(task: campaign.Task) -> Row:
@@ -50,20 +49,19 @@ def test_nothing_is_inserted_in_a_cell_that_is_wired_wrong(worlds, tmp_path, mon
         return as_wired(task)
 
     monkeypatch.setattr(campaign, "play", play)
-    models = tiny_models.write_models(tmp_path / "models")
-    rows = evaluated(worlds, models, tmp_path / "rows.json", "--objects", "circle", "rectangle")
+    rows = evaluated(worlds, models_folder, tmp_path / "rows.json", "--objects", "circle", "rectangle")
     assert {task.job["condition"] for task in played if task.job.get("purpose") != "probe"} == {"good"}
     assert rows["good"]["inserted"] == rows["good"]["insertions"] == 2
     refused = rows["swapped"]
     assert (refused["refused"], refused["inserted"], refused["void"], refused["mean_trials"]) == (2, 0, 0, 16.0)
     assert refused["reasons"] == {f"commissioning: contradictory: {SWAPPED}": 2}
 
-    again = evaluated(worlds, models, tmp_path / "blind.json", "--objects", "circle", "--uncommissioned")
+    again = evaluated(worlds, models_folder, tmp_path / "blind.json", "--objects", "circle", "--uncommissioned")
     assert again["swapped"]["inserted"] == 2
     assert {task.job["commissioned"] for task in played[-4:]} == {False}
 
 
-def test_another_object_is_tried_where_the_first_cannot_be_held(worlds, tmp_path, monkeypatch):
+def test_another_object_is_tried_where_the_first_cannot_be_held(worlds, models_folder, tmp_path, monkeypatch):
     not_held = {"reason": "service: refused: nothing_held", "trials": []}
 
     def play(task: campaign.Task) -> Row:
@@ -71,39 +69,36 @@ def test_another_object_is_tried_where_the_first_cannot_be_held(worlds, tmp_path
         return {**answer, **not_held} if task.job["scene"] == "rectangle" else answer
 
     monkeypatch.setattr(campaign, "play", play)
-    models = tiny_models.write_models(tmp_path / "models")
-    rows = evaluated(worlds, models, tmp_path / "rows.json", "--objects", "rectangle", "circle")
+    rows = evaluated(worlds, models_folder, tmp_path / "rows.json", "--objects", "rectangle", "circle")
     assert rows["swapped"]["refused"] == 2
-    alone = evaluated(worlds, models, tmp_path / "alone.json", "--objects", "rectangle")
+    alone = evaluated(worlds, models_folder, tmp_path / "alone.json", "--objects", "rectangle")
     assert not any("contradictory" in reason for reason in alone["swapped"]["reasons"])  # nobody could tell
 
 
-def test_another_object_is_tried_where_the_first_goes_in(worlds, tmp_path, monkeypatch):
+def test_another_object_is_tried_where_the_first_goes_in(worlds, models_folder, tmp_path, monkeypatch):
     def play(task: campaign.Task) -> Row:
         answer = as_wired(task)
         return {**answer, "trials": []} if task.job["scene"] == "rectangle" else answer
 
     monkeypatch.setattr(campaign, "play", play)
-    models = tiny_models.write_models(tmp_path / "models")
-    rows = evaluated(worlds, models, tmp_path / "rows.json", "--objects", "rectangle", "circle")
+    rows = evaluated(worlds, models_folder, tmp_path / "rows.json", "--objects", "rectangle", "circle")
     assert rows["swapped"]["reasons"] == {f"commissioning: contradictory: {SWAPPED}": 2}
 
 
 @pytest.mark.parametrize(("gap_mm", "refused"), [(64.0, 2), (90.0, 0)])
 def test_blocks_too_low_to_be_felt_are_named_unless_the_gap_is_that_wide(
-    gap_mm, refused, worlds, tmp_path, monkeypatch
+    gap_mm, refused, worlds, models_folder, tmp_path, monkeypatch
 ):
     """With tops as low as the probes go, full depth is reached above them, and would be claimed."""
     monkeypatch.setattr(campaign, "play", lambda task: {**as_wired(task), "trials": []})
     box = tmp_path / "box.toml"
     box.write_text(f'[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 90.0\n[blocks]\ngap_mm = {gap_mm}\n')
-    models = tiny_models.write_models(tmp_path / "models")
-    row = evaluated(worlds[:1], models, tmp_path / "rows.json", "--objects", str(box))["good"]
+    row = evaluated(worlds[:1], models_folder, tmp_path / "rows.json", "--objects", str(box))["good"]
     assert row["refused"] == refused
     assert any("nothing was felt 8 mm beside the gap" in reason for reason in row["reasons"]) == bool(refused)
 
 
-def test_blocks_that_the_object_is_set_down_on_are_named(worlds, tmp_path, monkeypatch):
+def test_blocks_that_the_object_is_set_down_on_are_named(worlds, models_folder, tmp_path, monkeypatch):
     """Pushed through the hand by both blocks at once, it moves no marker on the way down, and would be claimed."""
     turned = {"reason": "service: refused: turned_in_hand: it hangs turned by 1.5 deg or more", "trials": []}
 
@@ -113,36 +108,38 @@ def test_blocks_that_the_object_is_set_down_on_are_named(worlds, tmp_path, monke
         return {**answer, **turned} if high and task.job.get("purpose") == "probe" else answer
 
     monkeypatch.setattr(campaign, "play", play)
-    models = tiny_models.write_models(tmp_path / "models")
-    rows = evaluated(worlds, models, tmp_path / "rows.json", "--objects", "rectangle", "circle")
+    rows = evaluated(worlds, models_folder, tmp_path / "rows.json", "--objects", "rectangle", "circle")
     assert any("tops higher than taught" in reason for reason in rows["swapped"]["reasons"])
     assert rows["good"]["inserted"] == 2  # another object was held and felt the blocks
 
 
-def test_a_sensor_that_the_networks_do_not_read_is_named_before_anything_is_played(tmp_path, monkeypatch):
+def test_a_sensor_that_the_networks_do_not_read_is_named_before_anything_is_played(
+    models_folder, tmp_path, monkeypatch
+):
     monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played"))
     (tmp_path / "mini.toml").write_text('[camera]\nsensor = "gelsight_mini"\n')
-    models = tiny_models.write_models(tmp_path / "models")
     with pytest.raises(ValueError, match="world mini, object circle: pictures of the sensor gelsight_mini are 320 x"):
-        evaluated([str(tmp_path / "mini.toml")], models, tmp_path / "rows.json", "--objects", "circle")
+        evaluated([str(tmp_path / "mini.toml")], models_folder, tmp_path / "rows.json", "--objects", "circle")
 
 
-def test_a_sensor_with_pictures_of_another_scale_is_named_before_anything_is_played(tmp_path, monkeypatch):
+def test_a_sensor_with_pictures_of_another_scale_is_named_before_anything_is_played(
+    models_folder, tmp_path, monkeypatch
+):
     monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played"))
     (tmp_path / "far.toml").write_text("[camera.sensor]\nmm_per_px = 0.06\n")
-    models = tiny_models.write_models(tmp_path / "models")
     with pytest.raises(ValueError, match=r"327 x 320 px of 0\.06 mm; .* read 327 x 320 px of 0\.07 mm"):
-        evaluated([str(tmp_path / "far.toml")], models, tmp_path / "rows.json", "--objects", "circle")
+        evaluated([str(tmp_path / "far.toml")], models_folder, tmp_path / "rows.json", "--objects", "circle")
 
 
-def test_a_folder_in_place_of_the_file_for_rows_is_refused_before_anything_is_played(worlds, tmp_path, monkeypatch):
+def test_a_folder_in_place_of_the_file_for_rows_is_refused_before_anything_is_played(
+    worlds, models_folder, tmp_path, monkeypatch
+):
     monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played"))
-    models = tiny_models.write_models(tmp_path / "models")
     with pytest.raises(ValueError, match=r"is a folder; expected a file for the rows"):
-        evaluated(worlds, models, tmp_path, "--objects", "circle")
+        evaluated(worlds, models_folder, tmp_path, "--objects", "circle")
 
 
-def test_rows_of_an_object_that_was_edited_since_are_played_again(worlds, tmp_path, monkeypatch):
+def test_rows_of_an_object_that_was_edited_since_are_played_again(worlds, models_folder, tmp_path, monkeypatch):
     played = list[float]()
 
     def play(task: campaign.Task) -> Row:
@@ -150,31 +147,29 @@ def test_rows_of_an_object_that_was_edited_since_are_played_again(worlds, tmp_pa
         return as_wired(task)
 
     monkeypatch.setattr(campaign, "play", play)
-    models, mine = tiny_models.write_models(tmp_path / "models"), tmp_path / "mine.toml"
+    mine = tmp_path / "mine.toml"
     for mass_kg in (0.1, 0.5, 0.5):
         shape = '[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 90.0\n'
         mine.write_text(f"order = 4\n{shape}mass_kg = {mass_kg}\n")
-        evaluated(worlds[:1], models, tmp_path / "rows.json", "--objects", str(mine), "--uncommissioned")
+        evaluated(worlds[:1], models_folder, tmp_path / "rows.json", "--objects", str(mine), "--uncommissioned")
     assert played == [0.1, 0.1, 0.5, 0.5]
 
 
-def test_figures_of_the_paper_are_those_of_the_objects_own_file(worlds, tmp_path, monkeypatch, capsys):
+def test_figures_of_the_paper_are_those_of_the_objects_own_file(worlds, models_folder, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(campaign, "play", as_wired)
     body = '[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 90.0\n'
     (tmp_path / "circle.toml").write_text(body)  # another object than the registry's of this name
     (tmp_path / "box.toml").write_text(body + "[paper]\nsuccess = 1.0\nmean_trials = 3.5\n")
     files = [str(tmp_path / f"{name}.toml") for name in ("circle", "box")]
-    models = tiny_models.write_models(tmp_path / "models")
-    evaluated(worlds[:1], models, tmp_path / "rows.json", "--objects", *files, "--uncommissioned")
+    evaluated(worlds[:1], models_folder, tmp_path / "rows.json", "--objects", *files, "--uncommissioned")
     shown = capsys.readouterr().out
     assert "good, circle: 2/2 inserted, mean trials 1.00 (simulated)" in shown
     assert "good, box: 2/2 inserted, mean trials 1.00 (simulated; the paper's real robot: 3.5)" in shown
 
 
-def test_a_false_claim_is_shown_with_what_was_refused(worlds, tmp_path, monkeypatch, capsys):
+def test_a_false_claim_is_shown_with_what_was_refused(worlds, models_folder, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(campaign, "play", lambda task: as_wired(task) | {"inserted": False, "claimed": True})
-    models = tiny_models.write_models(tmp_path / "models")
-    evaluated(worlds[:1], models, tmp_path / "rows.json", "--objects", "circle")
+    evaluated(worlds[:1], models_folder, tmp_path / "rows.json", "--objects", "circle")
     shown = capsys.readouterr().out
     assert "good, circle: 0/2 inserted, mean trials 16.00 (simulated" in shown
     assert "\n  2 x claimed, but not inserted\n" in shown

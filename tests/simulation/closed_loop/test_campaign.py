@@ -11,15 +11,9 @@ import pytest
 from reporting.files import read_rows
 from simulation.cli import evaluate
 from simulation.closed_loop import campaign
-from tests.service import tiny_models
 from tests.simulation.closed_loop.test_evaluation import ROW
 
 ROOT = Path(__file__).parents[3]
-
-
-@pytest.fixture(scope="module")
-def models(tmp_path_factory):
-    return tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny")
 
 
 def arguments(models, rows, count=2, controller="belief"):
@@ -27,27 +21,29 @@ def arguments(models, rows, count=2, controller="belief"):
     return [*given, "--json", str(rows), "--models", str(models), "--controller", controller]
 
 
-def test_an_unknown_name_or_models_folder_is_named(models, tmp_path):
+def test_an_unknown_name_or_models_folder_is_named(models_folder, tmp_path):
     with pytest.raises(ValueError, match="teapot"):
-        evaluate.main(["--objects", "teapot", "--models", str(models)])
+        evaluate.main(["--objects", "teapot", "--models", str(models_folder)])
     with pytest.raises(ValueError, match="nowhere"):
         evaluate.main(["--models", "nowhere"])
     with pytest.raises(SystemExit):
         evaluate.main(["--controller", "psychic"])
 
 
-def test_a_finished_run_is_not_played_again(models, tmp_path, monkeypatch, capsys):
+def test_a_finished_run_is_not_played_again(models_folder, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(campaign, "play", lambda _: pytest.fail("played again"))
-    options = evaluate.Options(objects=("circle",), count=2, models=models, perception="fields", uncommissioned=True)
+    options = evaluate.Options(
+        objects=("circle",), count=2, models=models_folder, perception="fields", uncommissioned=True
+    )
     done = [dict(ROW) | dict(task.job) | {"attempts": 1, "made_by": task.made_by} for task in evaluate.tasks(options)]
     log = tmp_path / "rows.insertions.jsonl"
     log.write_text("\n".join(json.dumps(row) for row in done) + '\n{"cut by a ki')
-    assert evaluate.main([*arguments(models, tmp_path / "rows.json"), "--uncommissioned"]) == 0
+    assert evaluate.main([*arguments(models_folder, tmp_path / "rows.json"), "--uncommissioned"]) == 0
     assert "circle: 2/2 inserted, mean trials 1.00 (simulated; the paper's real robot: 2.97)" in capsys.readouterr().out
 
 
-def test_results_of_other_networks_are_not_mixed_in(models, tmp_path):
-    setup = campaign.fingerprint({"belief": models})
+def test_results_of_other_networks_are_not_mixed_in(models_folder, tmp_path):
+    setup = campaign.fingerprint({"belief": models_folder})
     assert "belief/direction.step.onnx" in setup
     campaign.claim(tmp_path, setup)
     campaign.claim(tmp_path, setup)
@@ -56,10 +52,10 @@ def test_results_of_other_networks_are_not_mixed_in(models, tmp_path):
 
 
 @pytest.mark.parametrize("kept", [{campaign.PLAYED_BY: "0" * 64}, {"service.decision.belief": "0" * 64}])
-def test_results_of_other_physics_are_not_mixed_in(models, tmp_path, kept):
+def test_results_of_other_physics_are_not_mixed_in(models_folder, tmp_path, kept):
     (tmp_path / "setup.json").write_text(json.dumps(kept))
     with pytest.raises(ValueError, match="holds results of other code of the simulator"):
-        campaign.claim(tmp_path, campaign.fingerprint({"belief": models}))
+        campaign.claim(tmp_path, campaign.fingerprint({"belief": models_folder}))
 
 
 @pytest.mark.parametrize("text", ["{", "[1]"])
@@ -102,9 +98,9 @@ def test_two_processes_do_not_play_the_same_insertions_into_one_log(tmp_path, mo
 
 
 @pytest.mark.slow
-def test_a_killed_run_goes_on_where_it_was(models, tmp_path):
+def test_a_killed_run_goes_on_where_it_was(models_folder, tmp_path):
     rows = tmp_path / "rows.json"
-    command = [sys.executable, "-m", "simulation", "evaluate", *arguments(models, rows, 40, "oracle")]
+    command = [sys.executable, "-m", "simulation", "evaluate", *arguments(models_folder, rows, 40, "oracle")]
     log = tmp_path / "rows.insertions.jsonl"
     with subprocess.Popen(command, cwd=ROOT, start_new_session=True, stderr=subprocess.DEVNULL) as first:
         deadline = time.monotonic() + 90.0
@@ -115,7 +111,7 @@ def test_a_killed_run_goes_on_where_it_was(models, tmp_path):
         os.killpg(first.pid, signal.SIGKILL)
     before = read_rows(log)
     assert 2 <= len(before) < 40
-    assert evaluate.main(arguments(models, rows, 3, "oracle")) == 0
+    assert evaluate.main(arguments(models_folder, rows, 3, "oracle")) == 0
     after = read_rows(log)
     keys = [campaign.key_of(row) for row in after]
     assert len(keys) == len(set(keys)) >= 3

@@ -11,14 +11,8 @@ from simulation.closed_loop.job import Job
 from simulation.closed_loop.lockstep import LockstepCell
 from simulation.closed_loop.play import insert, stage
 from simulation.scene.worlds import load_scene
-from tests.service import tiny_models
 
 RELEASED = Path(__file__).parents[3] / "models"
-
-
-@pytest.fixture(scope="module")
-def models(tmp_path_factory):
-    return load_models(tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny"))
 
 
 def job(scene="rectangle", x_mm=8.0, theta_deg=0.0, seed=1, controller="oracle", **more):

@@ -2,12 +2,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.decision.models import load_models
 from simulation.closed_loop import benchmark, statistics
 from simulation.closed_loop.job import Job, job_in
 from simulation.closed_loop.play import insert
 from simulation.scene.worlds import World, load_scene
-from tests.service import tiny_models
 
 COURSE = {"block_mm": 0.2, "force_n": 9.0}
 DECISION = {
@@ -79,9 +77,8 @@ def test_a_row_names_what_was_refused_and_no_figures(reason, named):
     assert row["reasons"] == {named: 1}
 
 
-def test_a_row_names_why_the_physics_failed(tmp_path):
+def test_a_row_names_why_the_physics_failed(models):
     soft = World("soft", {"gel.thickness_mm": 10.0, "gel.shear_modulus_n_per_mm2": 0.005})
-    models = load_models(tiny_models.write_models(tmp_path))
     (row,) = benchmark.table([insert(Job(**job_in(soft, "circle", 0, (5.0, 3.0), 1)), models)])
     assert (row["void"], row["reasons"]) == (1, {"physics: gel squeezed through": 1})
 

@@ -6,7 +6,6 @@ import pytest
 
 from simulation.__main__ import main
 from simulation.data.dataset import Dataset
-from tests.service import tiny_models
 
 BOX = """
 [object]
@@ -31,11 +30,6 @@ def box(tmp_path):
     return path
 
 
-@pytest.fixture(scope="module")
-def models(tmp_path_factory):
-    return tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny")
-
-
 def test_it_is_collected_and_probed(box, tmp_path, capsys):
     out = tmp_path / "data"
     size = ["--trials-per-object", "1", "--trials-per-shard", "1", "--workers", "1"]
@@ -47,11 +41,11 @@ def test_it_is_collected_and_probed(box, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_every_world_is_played_with_every_object_and_continued(box, models, tmp_path, capsys):
+def test_every_world_is_played_with_every_object_and_continued(box, models_folder, tmp_path, capsys):
     world = tmp_path / "weak.toml"
     world.write_text(WEAK)
     out = tmp_path / "rows.json"
-    ask = ["evaluate", "--worlds", str(world), "--objects", str(box), "circle", "--models", str(models)]
+    ask = ["evaluate", "--worlds", str(world), "--objects", str(box), "circle", "--models", str(models_folder)]
     ask += ["--perception", "fields", "--seed", "3", "-j", "1", "--json", str(out), "--controller", "oracle"]
     assert main([*ask, "--count", "1"]) == 0
     rows = json.loads(out.read_text())
@@ -68,11 +62,11 @@ def test_every_world_is_played_with_every_object_and_continued(box, models, tmp_
     assert played["changes"] == {"gel.friction": 0.6, "grasp.force_n": 15.0}
 
 
-def test_a_world_that_cannot_be_played_is_one_line_and_nothing_is_written(box, models, tmp_path, capsys):
+def test_a_world_that_cannot_be_played_is_one_line_and_nothing_is_written(box, models_folder, tmp_path, capsys):
     world = tmp_path / "swapped.toml"
     world.write_text("[world]\nswapped_finger = true\n")
     out = tmp_path / "new" / "rows.json"
-    ask = ["evaluate", "--worlds", str(world), "--objects", str(box), "--models", str(models)]
+    ask = ["evaluate", "--worlds", str(world), "--objects", str(box), "--models", str(models_folder)]
     assert main([*ask, "--json", str(out)]) == 2
     assert capsys.readouterr().err == f"evaluate: {world}: world.{UNKNOWN}\n"
     assert not out.parent.exists()

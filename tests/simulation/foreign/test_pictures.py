@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from service.contract import FINGERS, FramePair, TactileFrame, wire
-from service.decision.models import load_models
 from service.perception.finger import TactileFinger
 from service.perception.rectification import Calibration
 from service.session.factory import make_session
 from simulation.foreign.cell import ForeignCell
 from simulation.foreign.pictures import Camera
 from simulation.scene.worlds import load_scene
-from tests.service import drawn, tiny_models
+from tests.service import drawn
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +52,11 @@ def test_a_gel_of_another_shape_is_refused(camera):
         camera.raw(np.zeros((3, 3, 3)), 1)
 
 
-def test_a_flat_face_that_the_pictures_hardly_show_is_held_until_it_is_gone(tmp_path):
+def test_a_flat_face_that_the_pictures_hardly_show_is_held_until_it_is_gone(models):
     """It covers both gels: no picture reaches the touch limit, so the markers show whether it is still there."""
     scene = load_scene("rectangle")
     cameras = [Camera(scene.sensor, seed) for seed in (3, 4)]
     held = ForeignCell(scene).look().gel
-    models = load_models(tiny_models.write_models(tmp_path / "m"))
     session = make_session(models, Calibration(*(camera.calibration for camera in cameras)))
     session.handle(wire.ClientHello(insertion_id="flat", client="test"), 0)
     session.handle(wire.LearnOpen(insertion_id="flat"), 0)

@@ -6,7 +6,6 @@ from dataclasses import replace
 import pytest
 
 from reporting.statistics import wilson
-from service.decision.models import ModelSet, load_models
 from simulation.__main__ import main
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import insert
@@ -14,11 +13,6 @@ from simulation.scene import drawn
 from simulation.scene.worlds import load_objects
 from simulation.studies import trust
 from tests.service import tiny_models
-
-
-@pytest.fixture(scope="module")
-def models(tmp_path_factory) -> ModelSet:
-    return load_models(tiny_models.write_models(tmp_path_factory.mktemp("models") / "tiny"))
 
 
 def fits(**fault: object) -> Job:
