@@ -5,7 +5,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import Finger, FramePair, TactileFrame
+from service.contract import Finger, FramePair, FrameSpec, TactileFrame
+from service.perception.finger import TactileFinger
 from service.perception.rectification import Calibration
 from simulation.optics.renderer import Appearance, Renderer
 
@@ -19,6 +20,11 @@ def renderer(finger: Finger) -> Renderer:
 
 def calibration() -> Calibration:
     return Calibration(*(renderer(finger).calibration for finger in ("left", "right")))
+
+
+def watch(finger: Finger = "left") -> TactileFinger:
+    """One finger of a live session over these imprints."""
+    return TactileFinger(finger, FrameSpec(height_px=320, width_px=327), renderer(finger).calibration)
 
 
 def gel(shift_mm: float, slip_mm: float = 0.0) -> NDArray[np.float32]:

@@ -1,7 +1,10 @@
 """A finger's camera over HTTP for tests: plays probes on a real socket, stamps its frames, can be cut."""
 
+import socket
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -37,6 +40,26 @@ def black(shape: tuple[int, ...], sequence: int) -> bytes:
     """A picture of a camera whose light is out, with its noise."""
     pixels = np.random.default_rng(sequence).integers(0, 4, shape, np.uint8)
     return cv2.imencode(".jpg", pixels)[1].tobytes()
+
+
+@contextmanager
+def answering(*pieces: bytes, every_s: float = 0.0) -> Iterator[str]:
+    """What is no camera, or an odd one: a server that answers one request with these pieces; its URL."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(60.0)
+
+        def serve() -> None:
+            link, _ = server.accept()
+            with link:
+                link.recv(4096)
+                for piece in pieces:
+                    link.sendall(piece)
+                    time.sleep(every_s)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield f"http://127.0.0.1:{server.getsockname()[1]}/stream"
+        thread.join()
 
 
 class FakeFinger:

@@ -14,6 +14,7 @@ import pytest
 
 from service.cameras.capture import CameraError
 from service.cameras.sources import MjpegSource, _Stream, header_stamp_ns
+from tests.service.mjpeg import answering
 
 
 def test_a_stamp_of_this_machines_clock_is_believed_and_no_other() -> None:
@@ -102,18 +103,9 @@ def test_a_stream_is_read_beside_a_thousand_connections_and_to_its_end() -> None
         others.callback(resource.setrlimit, resource.RLIMIT_NOFILE, (soft, hard))
         for _ in range(1100):
             others.enter_context(Path(os.devnull).open("rb"))
-        with socket.create_server(("127.0.0.1", 0)) as server:
-
-            def serve() -> None:
-                link, _ = server.accept()
-                with link:
-                    link.recv(4096)
-                    link.sendall(b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=f\r\n\r\n")
-                    for k in range(3):
-                        link.sendall(b"--f\r\nContent-Length: 1\r\n\r\n%d\r\n" % k)
-
-            threading.Thread(target=serve).start()
-            captures = list(MjpegSource(f"http://127.0.0.1:{server.getsockname()[1]}/").frames(threading.Event()))
+        head = b"HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=f\r\n\r\n"
+        with answering(head, *(b"--f\r\nContent-Length: 1\r\n\r\n%d\r\n" % k for k in range(3))) as url:
+            captures = list(MjpegSource(url).frames(threading.Event()))
     assert captures[-1].jpeg == b"2"
 
 
@@ -142,21 +134,9 @@ def test_after_a_silence_a_stream_without_stamps_is_reopened() -> None:
 )
 def test_pictures_without_a_length_end_where_the_camera_says(declared: str, delimiter: bytes, before: bytes) -> None:
     """Cameras differ in whether the dashes belong to the boundary that they declare."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-
-        def serve() -> None:
-            link, _ = server.accept()
-            with link:
-                link.recv(4096)
-                kind = f"Content-Type: multipart/x-mixed-replace; boundary={declared}"
-                link.sendall(f"HTTP/1.0 200 OK\r\n{kind}\r\n\r\n".encode())
-                for k in range(3):
-                    link.sendall(delimiter + b"\r\nContent-Type: image/jpeg\r\n\r\n--%d" % k + before)
-                    time.sleep(0.05)
-                link.sendall(delimiter)
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        captures = list(MjpegSource(f"http://127.0.0.1:{server.getsockname()[1]}/").frames(threading.Event()))
-        thread.join()
+    kind = f"Content-Type: multipart/x-mixed-replace; boundary={declared}"
+    head = f"HTTP/1.0 200 OK\r\n{kind}\r\n\r\n".encode()
+    parts = [delimiter + b"\r\nContent-Type: image/jpeg\r\n\r\n--%d" % k + before for k in range(3)]
+    with answering(head, *parts, delimiter, every_s=0.05) as url:
+        captures = list(MjpegSource(url).frames(threading.Event()))
     assert [capture.jpeg for capture in captures] == [b"--0", b"--1", b"--2"]

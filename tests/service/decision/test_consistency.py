@@ -1,32 +1,26 @@
 """A cell that is wired wrong contradicts the moves that are commanded; a good one never does."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.contract import Sensor, wire
+from service.contract import wire
 from service.contract.words.wiring import WIRINGS
 from service.decision.consistency import Consistency, one_sided
 from service.decision.evidence import Refusal
-from service.perception.markers.field import field_from_gel
-from service.perception.observation import Observation, PairObservation
-from service.perception.slip.detector import SlipDetector
+from service.perception.observation import PairObservation
+from tests.service.decision.test_claim import observation
 
 ERRORS = st.tuples(st.floats(-16, 16), st.floats(-14, 14))
 BLIND = (3.0, 10.0)
 
 
 def pair(left_deg: float = 4.0, right_deg: float = -4.0) -> PairObservation:
-    fingers = []
-    for finger, turn in (("left", left_deg), ("right", right_deg)):
-        field = field_from_gel(np.zeros((20, 21, 3), np.float32), 0, Sensor.load())
-        slip = replace(SlipDetector().rearm(field), angle_rad=math.radians(turn))
-        fingers.append(Observation(finger, 0, 0, np.zeros((0, 0, 3), np.uint8), field, slip, None, {}))
-    return PairObservation(*fingers)
+    turns = ("left", left_deg), ("right", right_deg)
+    return PairObservation(*(observation(finger, angle_rad=math.radians(turn_deg)) for finger, turn_deg in turns))
 
 
 def correction(here: tuple[float, float], sigma: tuple[float, float], move: tuple[float, float]) -> wire.Correction:

@@ -9,23 +9,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.contract import FramePair, Sensor, TactileFrame, wire
-from service.decision.models import ModelSet, load_models
+from service.decision.models import ModelSet
 from service.decision.seating import NOISE_PITCH, Push, SeatingEvidence, push_of, seating_evidence, strongest_push
 from service.perception.markers.field import field_from_gel
-from service.perception.observation import Observation, PairObservation
-from service.perception.slip.detector import SlipDetector
+from service.perception.observation import PairObservation
 from service.session.factory import make_session
 from service.session.state_machine import InsertionSession
-from tests.service import drawn, tiny_models
+from tests.service import drawn
+from tests.service.decision.test_claim import observation
 
 ID = "seat-1"
 FRAMES = 30
 NEVER = 10**6
-
-
-@pytest.fixture(scope="module")
-def models(tmp_path_factory: pytest.TempPathFactory) -> ModelSet:
-    return load_models(tiny_models.write_models(tmp_path_factory.mktemp("models") / "m"))
 
 
 @pytest.fixture
@@ -96,8 +91,7 @@ def pair_of(up_px: tuple[float, float], spoil: float = 0.0, at: tuple[int, int] 
         field = field_from_gel(gel, 0, Sensor.load())
         if finger == "left":
             field.displacement_px[at] += np.float32(spoil)
-        slip = SlipDetector().rearm(field)
-        fingers.append(Observation(finger, 0, 0, np.zeros((0, 0, 3), np.uint8), field, slip, None, {}))
+        fingers.append(replace(observation(finger), field=field))
     return PairObservation(*fingers)
 
 

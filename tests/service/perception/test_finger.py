@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from service.contract import FrameSpec, Sensor, TactileFrame, wire
-from service.decision.models import load_models
+from service.decision.models import ModelSet
 from service.perception.finger import TactileFinger
 from service.perception.observation import Observation
-from service.perception.rectification import Calibration, Rectifier
+from service.perception.rectification import Rectifier
 from service.session.factory import make_session
 from simulation.optics.renderer import Appearance, Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.worlds import load_scene
-from tests.service import drawn, tiny_models
+from tests.service import drawn
 
 FREE = np.zeros((20, 21, 3), np.float32)
 
@@ -57,8 +57,7 @@ def test_a_raw_frame_of_the_rectified_size_is_rectified() -> None:
 
 def test_a_push_that_brings_home_markers_which_a_weight_had_moved_is_no_release() -> None:
     """The object still presses the gel, as its picture shows; only open, the gel is let go."""
-    renderer = drawn.renderer("left")
-    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    renderer, finger = drawn.renderer("left"), drawn.watch()
     pressed, sagging = FREE.copy(), FREE.copy()
     pressed[..., 2] = drawn.gel(0.0)[..., 2]
     sagging[..., 1] = 0.05 * Sensor.load().marker_pitch_mm
@@ -73,8 +72,7 @@ def test_a_push_that_brings_home_markers_which_a_weight_had_moved_is_no_release(
 
 
 def test_a_gel_that_hides_rows_when_it_is_gripped_keeps_the_grid_of_the_open_gel() -> None:
-    renderer = drawn.renderer("left")
-    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    finger = drawn.watch()
     assert finger.learn_open(TactileFrame("left", 0, 0, drawn.untouched("left"))) == ""
     shapes = []
     for k in range(1, 6):
@@ -88,16 +86,13 @@ def test_a_gel_that_hides_rows_when_it_is_gripped_keeps_the_grid_of_the_open_gel
     assert np.abs(shapes[-1].displacement_px[shapes[-1].valid]).max() < 0.6 * shapes[-1].pitch_px
 
 
-def test_an_empty_hand_is_not_armed(tmp_path) -> None:
-    models = load_models(tiny_models.write_models(tmp_path / "m"))
-    renderers = {finger: drawn.renderer(finger) for finger in ("left", "right")}
-    calibration = Calibration(*(renderers[finger].calibration for finger in ("left", "right")))
-    session, messages = make_session(models, calibration), []
+def test_an_empty_hand_is_not_armed(models: ModelSet) -> None:
+    session, messages = make_session(models, drawn.calibration()), []
     session.handle(wire.ClientHello(insertion_id="empty", client="test"), 0)
     session.handle(wire.LearnOpen(insertion_id="empty"), 0)
     for index in range(4):
         stamp_ns = index * drawn.PERIOD_NS
-        frames = (TactileFrame(f, index, stamp_ns, renderers[f].raw(FREE, index)) for f in ("left", "right"))
+        frames = (TactileFrame(f, index, stamp_ns, drawn.renderer(f).raw(FREE, index)) for f in ("left", "right"))
         messages += session.on_pair(drawn.FramePair(*frames), stamp_ns)
         if index == 0:
             messages += session.handle(
@@ -117,8 +112,7 @@ def gripped() -> np.ndarray:
 
 
 def test_a_gripped_gel_that_was_taken_for_an_open_one_looks_touched_once_that_is_forgotten() -> None:
-    renderer, held = drawn.renderer("left"), gripped()[0]
-    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    renderer, finger, held = drawn.renderer("left"), drawn.watch(), gripped()[0]
     assert finger.learn_open(TactileFrame("left", 0, 0, renderer.raw(held, 0))) == ""
     feels = []
     for k, gel in enumerate([held, held, held, FREE], 1):
@@ -140,14 +134,11 @@ def weight_alone() -> np.ndarray:
     [(gripped, 0.0, 5), (weight_alone, 0.0, 5), (gripped, 0.1, 5), (gripped, 0.0, 2)],
     ids=["grip", "weight", "pushed", "at once"],
 )
-def test_an_emptied_hand_stops_the_arm_within_three_frames(grasp, pushed_pitch, gone, tmp_path) -> None:
+def test_an_emptied_hand_stops_the_arm_within_three_frames(grasp, pushed_pitch, gone, models: ModelSet) -> None:
     """Even if the object was pushed up before, as one is that is put down, or falls as soon as the attempt is armed."""
-    models = load_models(tiny_models.write_models(tmp_path / "m"))
-    renderers = {finger: drawn.renderer(finger) for finger in ("left", "right")}
-    calibration = Calibration(*(renderers[finger].calibration for finger in ("left", "right")))
     held, pushed = grasp(), np.zeros(3, np.float32)
     pushed[1] = pushed_pitch * Sensor.load().marker_pitch_mm
-    session = make_session(models, calibration)
+    session = make_session(models, drawn.calibration())
     messages: dict[int, list[str]] = {}
     session.handle(wire.ClientHello(insertion_id="drop", client="test"), 0)
     session.handle(wire.LearnOpen(insertion_id="drop"), 0)
@@ -155,7 +146,7 @@ def test_an_emptied_hand_stops_the_arm_within_three_frames(grasp, pushed_pitch, 
         stamp_ns = index * drawn.PERIOD_NS
         gels = held + pushed * (1 if index < 3 else -1) if 1 <= index < gone else np.stack([FREE, FREE])
         frames = (
-            TactileFrame(finger, index, stamp_ns, renderers[finger].raw(gel, index))
+            TactileFrame(finger, index, stamp_ns, drawn.renderer(finger).raw(gel, index))
             for finger, gel in zip(("left", "right"), gels, strict=True)
         )
         answers = session.on_pair(drawn.FramePair(*frames), stamp_ns)

@@ -1,8 +1,6 @@
 """Calibration finds a simulated camera's rectification, and refuses anything but a resting gel."""
 
 import json
-import socket
-import threading
 from dataclasses import replace
 
 import cv2
@@ -19,6 +17,7 @@ from service.tools.calibrate import fit_camera, remark
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.worlds import load_scene
+from tests.service.mjpeg import answering
 from tests.service.perception.real import GELSLIM_CROP, read_video, real_data
 
 REST = np.zeros((20, 21, 3), np.float32)
@@ -210,15 +209,6 @@ def test_a_finger_learns_the_gel_that_it_was_calibrated_with_and_no_other(seed: 
 
 @pytest.mark.parametrize("answer", [b"SSH-2.0-OpenSSH_9\r\n", b"HTTP/1.1 404 Not Found\r\n\r\n", b""])
 def test_what_is_no_camera_is_one_line_that_names_it_and_exit_2(answer: bytes, capsys: pytest.CaptureFixture[str]):
-    with socket.create_server(("127.0.0.1", 0)) as server:
-
-        def serve() -> None:
-            link, _ = server.accept()
-            with link:
-                link.recv(4096)
-                link.sendall(answer)
-
-        threading.Thread(target=serve).start()
-        url = f"http://127.0.0.1:{server.getsockname()[1]}/stream"
+    with answering(answer) as url:
         assert main(["calibrate", "--camera-left", url, "--camera-right", "v4l2:99"]) == 2
     assert f"camera {url}: " in capsys.readouterr().err

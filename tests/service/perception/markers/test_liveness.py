@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from service.contract import FrameSpec, TactileFrame
-from service.perception.finger import TactileFinger
+from service.contract import TactileFrame
 from tests.service import drawn
 
 REST_N, ONSET, SLIP_AT, COPIES_N = 8, 12, 18, 6
@@ -13,8 +12,7 @@ REST_N, ONSET, SLIP_AT, COPIES_N = 8, 12, 18, 6
 
 def new_frames(pictures, quality):
     """Whether each picture was new to the finger."""
-    renderer = drawn.renderer("left")
-    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    finger = drawn.watch()
     new = []
     for k, picture in enumerate(pictures):
         sent = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1] if quality else None
@@ -47,8 +45,7 @@ def test_copies_beneath_fresh_noise_are_none_from_the_second_on(frozen_at, grey,
 
 
 def test_a_picture_that_no_grasp_has_changed_is_none_until_it_changes():
-    renderer = drawn.renderer("left")
-    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    renderer, finger = drawn.renderer("left"), drawn.watch()
     at_rest = np.zeros((20, 21, 3), np.float32)
     finger.learn_open(TactileFrame("left", 0, 0, renderer.raw(at_rest, 500)))
     finger.rearm()
@@ -60,8 +57,7 @@ def test_a_picture_that_no_grasp_has_changed_is_none_until_it_changes():
 
 
 def test_a_light_grip_that_only_shades_the_gel_is_a_new_picture():
-    renderer = drawn.renderer("left")
-    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    renderer, finger = drawn.renderer("left"), drawn.watch()
     at_rest = np.zeros((20, 21, 3), np.float32)
     finger.learn_open(TactileFrame("left", 0, 0, renderer.raw(at_rest, 500)))
     finger.rearm()
@@ -77,8 +73,7 @@ def test_a_light_grip_that_only_shades_the_gel_is_a_new_picture():
 
 def test_a_light_grip_that_hardly_moves_the_markers_is_a_new_picture():
     """By 0.7 of what counts as touched, of which a noisy picture's grain shows nothing."""
-    renderer = drawn.renderer("left")
-    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    renderer, finger = drawn.renderer("left"), drawn.watch()
     gripped = np.zeros((20, 21, 3), np.float32)
     noise = np.random.default_rng(0)
 
@@ -98,8 +93,7 @@ def test_a_light_grip_that_hardly_moves_the_markers_is_a_new_picture():
 
 @pytest.mark.parametrize("pressed_mm", [(0.05, 0.06), (0.12, 0.16)])
 def test_an_object_that_hangs_free_again_is_a_new_picture_after_a_press(pressed_mm):
-    renderer = drawn.renderer("left")
-    finger = TactileFinger("left", FrameSpec(height_px=320, width_px=327), renderer.calibration)
+    renderer, finger = drawn.renderer("left"), drawn.watch()
     for k, shift_mm in enumerate((0.0, *pressed_mm, 0.0)):
         if shift_mm == 0.0:
             finger.rearm()  # no frame is looked at while the arm goes up
