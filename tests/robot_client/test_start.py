@@ -7,7 +7,6 @@ import pytest
 
 from robot_client.ports import DriverError
 from robot_client.robots.abb_rws.client import RwsClient
-from robot_client.robots.abb_rws.generation import RwsError
 from robot_client.session.travel import straight_up
 from robot_client.settings import SettingsError, load_settings
 from service.contract import wire
@@ -163,10 +162,6 @@ async def test_a_foreign_host_is_not_guided():
             await cell.insert()
         assert cell.egm.counters.received == 0
         await _still(cell)
-
-
-def test_an_rws_error_is_a_driver_error():
-    assert issubclass(RwsError, DriverError)
 
 
 def test_the_service_waits_for_a_hello_as_long_as_an_arm_may_take_to_be_guided():

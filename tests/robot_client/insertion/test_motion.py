@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_client.insertion.geometry import TOOL_DOWN, CellFrame, WorkPose, multiply, normalised, turn_quaternion
 from robot_client.insertion.limits import LimitError, Limits, StepGuard
-from robot_client.insertion.motion import CYCLE_S, SETTLE_S, MotionGuide, Ramps
+from robot_client.insertion.motion import CYCLE_S, SETTLE_S, MotionGuide
 from robot_client.insertion.profile import plan_profile
 from tests.robot_client.insertion.stories import RAMPS
 
@@ -21,11 +21,6 @@ INSIDE = st.builds(
 
 def pose(x=0.0, y=0.0, z=35.0, yaw=0.0):
     return WorkPose(x_mm=x, y_mm=y, z_mm=z, yaw_deg=yaw)
-
-
-def test_a_table_that_states_one_key_of_a_ramp_leaves_the_others_as_they_are():
-    usual, slower = Ramps(), Ramps.model_validate({"descend": {"speed_mm_s": 3.0}})
-    assert slower == usual.model_copy(update={"descend": usual.descend.model_copy(update={"speed_mm_s": 3.0})})
 
 
 @given(st.floats(0, 300), POSITIVE, POSITIVE, st.floats(10, 50000))

@@ -92,21 +92,6 @@ def test_the_arm_is_stopped_once_the_networks_have_seen_enough(made: Callable[..
     assert wire.PRESS_MM <= enough.pressed_mm < wire.PRESS_MM + spacing_mm
 
 
-@pytest.mark.parametrize(
-    ("reach_mm", "press_mm", "steps_n"),
-    [
-        (None, 0.75, 5), (0.05, 0.75, 4), (0.3, 0.75, 4), (2.0, 0.75, 5),
-        (None, 1.2, 8), (0.45, 1.2, 6), (None, 3.0, 8),
-    ],
-)  # fmt: skip
-def test_a_press_goes_as_far_as_asked_but_no_deeper_than_the_gel_sticks_and_the_networks_read(
-    made, reach_mm: float | None, press_mm: float, steps_n: int
-) -> None:
-    descent = network_input.Descent(made().steps[0].card, {"shear_reach_mm": reach_mm}, press_mm)
-    assert descent.worth_n == steps_n
-    assert (descent.pressed_mm, descent.enough, descent.felt) == (0.0, False, False), "before its first step"
-
-
 def test_a_press_until_slip_goes_on_after_what_the_networks_read(made: Callable[..., ModelSet]) -> None:
     models = made()
     _, usual = first_attempt(models, press_mm=1.2)
