@@ -12,6 +12,7 @@ from tests.examples.tiny_arm import TinyArm
 from tests.service import drawn
 from tests.service.mjpeg import FakeFinger
 from tests.service.process import ServiceProcess, service_process
+from tests.waiting import wait_for
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "cell_controller.py"
 spec = importlib.util.spec_from_file_location("cell_controller", EXAMPLE)
@@ -52,14 +53,8 @@ class Cell:
 
     def rest(self) -> None:
         heal(self.fingers)
-        until_s = time.monotonic() + 20
-        while time.monotonic() < until_s:
-            ready = httpx.get(self.service.url("/readyz"), timeout=10).status_code == 200
-            idle = httpx.get(self.service.url("/v1/insertions"), timeout=10).json()["active"] is None
-            if ready and idle:
-                return
-            time.sleep(0.05)
-        raise AssertionError("the service is not at rest")
+        wait_for(lambda: httpx.get(self.service.url("/readyz"), timeout=10).status_code == 200)
+        wait_for(lambda: httpx.get(self.service.url("/v1/insertions"), timeout=10).json()["active"] is None)
 
     def outcome(self, name: str) -> tuple[str, str | None]:
         """Outcome of an insertion by the service's own record."""
@@ -67,12 +62,8 @@ class Cell:
         return summary["outcome"], summary["cause"]
 
     def summary(self, name: str) -> dict:
-        until_s = time.monotonic() + 10
-        while time.monotonic() < until_s:
-            for path in self.service.recordings.glob(f"*{name}*/summary.json"):
-                return json.loads(path.read_text())
-            time.sleep(0.05)
-        raise AssertionError(f"no record of {name}")
+        path, *_ = wait_for(lambda: list(self.service.recordings.glob(f"*{name}*/summary.json")))
+        return json.loads(path.read_text())
 
 
 def heal(fingers: tuple[FakeFinger, FakeFinger]) -> None:

@@ -37,10 +37,13 @@ class Driver:
             assert message.type not in {"fault", "no_decision", "refused"}, message
         raise AssertionError(f"no {kind} within {timeout_s} s")
 
-    def attempt(self, number: int) -> wire.Correction:
+    def arms(self, number: int, expected_depth_mm: float = 25.0) -> None:
         self.rest()
-        self.send(wire.Arm(insertion_id=self.id, attempt=number, **CELL, expected_depth_mm=25.0))
+        self.send(wire.Arm(insertion_id=self.id, attempt=number, **CELL, expected_depth_mm=expected_depth_mm))
         self.until("armed")
+
+    def attempt(self, number: int) -> wire.Correction:
+        self.arms(number)
         self.live.probe()
         self.send(wire.Descending(insertion_id=self.id, attempt=number))
         slip = self.until("slip")
@@ -59,9 +62,7 @@ class Driver:
 
         Full depth is believed of a descent that was watched, on a frame that is recent.
         """
-        self.rest()
-        self.send(wire.Arm(insertion_id=self.id, attempt=number, **CELL, expected_depth_mm=1.0))
-        self.until("armed")
+        self.arms(number, expected_depth_mm=1.0)
         self.send(wire.Descending(insertion_id=self.id, attempt=number))
         time.sleep(0.3)
         while time.monotonic_ns() - self.until("watching").frame_captured_ns > FRESH_NS:
@@ -69,5 +70,19 @@ class Driver:
         self.send(wire.Stopped(insertion_id=self.id, attempt=number, depth_mm=1.0, outcome="inserted"))
         return self.until("finished")
 
+    def gives_up(self, cause: wire.Cause = "operator", reason: str = "done") -> wire.Finished:
+        """Abort, and leave once that is confirmed."""
+        self.send(wire.Abort(insertion_id=self.id, cause=cause, reason=reason))
+        finished: wire.Finished = self.until("finished")
+        self.close()
+        return finished
+
     def close(self) -> None:
         self.socket.close()
+
+
+def greeted(live: LiveService, insertion_id: str, **hello: Any) -> Driver:
+    """A client that was greeted: its insertion is open."""
+    driver = Driver(live, insertion_id, **hello)
+    driver.until("hello")
+    return driver

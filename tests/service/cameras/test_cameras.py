@@ -14,6 +14,7 @@ from service.cameras.recorded import RecordingSource
 from service.cameras.sources import MjpegSource, PushSource, V4l2Source, _Stream, open_source
 from service.contract import TactileFrame
 from tests.service.mjpeg import FakeFinger
+from tests.waiting import wait_for
 
 BLACK = np.zeros((4, 4, 3), np.uint8)
 
@@ -100,12 +101,9 @@ def test_a_changed_size_is_a_fault() -> None:
     faults: list[str] = []
     camera = Camera("left", MjpegSource(finger.url), lambda _: None, lambda *fault: faults.append(fault[2]))
     camera.start()
-    while camera.latest is None:
-        time.sleep(0.01)
+    wait_for(lambda: camera.latest)
     finger.size = (640, 480)
-    deadline = time.monotonic() + 10
-    while not faults and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_for(lambda: faults)
     camera.stop()
     finger.close()
     assert faults == ["left frames changed from 427 x 320 to 640 x 480"]
@@ -117,8 +115,7 @@ def test_a_silent_camera_is_stalled() -> None:
     camera = Camera("left", source, lambda _: None, lambda *fault: faults.append(fault[1]))
     camera.start()
     source.push(TactileFrame("left", 0, 0, BLACK))
-    while camera.latest is None:
-        time.sleep(0.01)
+    wait_for(lambda: camera.latest)
     camera.check_stall(now_ns())
     assert camera.state == "live"
     camera.check_stall(now_ns() + 600_000_000)
@@ -179,11 +176,8 @@ def test_a_source_that_fails_is_tried_again_four_times_a_second() -> None:
     faults: list[str] = []
     camera = Camera("left", Flaky(), lambda _: None, lambda _, code, __: faults.append(code))
     camera.start()
-    deadline = time.monotonic() + 20
-    while camera.state != "live" and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_for(lambda: camera.state == "live")
     camera.stop()
-    assert camera.state == "live"
     assert faults == ["camera_lost"]
     assert all(b - a >= RETRY_S for a, b in itertools.pairwise(tries))
 
@@ -267,7 +261,13 @@ def test_a_recording_plays_and_an_absent_one_says_so(tmp_path: Path) -> None:
         RecordingSource(tmp_path / "none")
 
 
-@pytest.mark.parametrize("url", ["ftp://x", "left", "http://", ""])
-def test_an_unknown_camera_is_named_with_the_accepted_forms(url: str) -> None:
-    with pytest.raises(CameraError):
+@pytest.mark.parametrize(
+    ("url", "why"),
+    [
+        *((url, r": expected http://HOST:PORT/PATH, v4l2:N, file:PATH or push:") for url in ("ftp://x", "left", "")),
+        ("http://", " names no host"),
+    ],
+)
+def test_an_unknown_camera_is_named_with_the_accepted_forms(url: str, why: str) -> None:
+    with pytest.raises(CameraError, match=f"camera '{url}'{why}"):
         open_source(url)

@@ -12,7 +12,7 @@ from service.contract import ModelCard, wire
 from service.recordings.reader import Entry, RecordingError
 from service.recordings.recovery import recover
 from service.recordings.writer import FINAL, PART, Recorder
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.conftest import LiveService
 
 ATTACHED = ["calibration.toml", "configuration.json", "tiny-direction.card.json", "tiny-magnitude.card.json"]
@@ -21,8 +21,7 @@ ATTACHED = ["calibration.toml", "configuration.json", "tiny-direction.card.json"
 @pytest.fixture(scope="module")
 def recording(live: LiveService) -> Path:
     """An insertion with a correction, and a telling client."""
-    driver = Driver(live, "described")
-    driver.until("hello")
+    driver = greeted(live, "described")
     pose = wire.ToolPose(x_mm=1.0, y_mm=0.0, z_mm=30.0, yaw_deg=2.0)
     driver.send(wire.Episode(insertion_id="described", object="box", start=pose, approach=pose))
     sample = wire.RobotSample(at_ns=1, phase="descending", attempt=1, measured=pose)

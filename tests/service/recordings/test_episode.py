@@ -9,7 +9,7 @@ import httpx
 from service.contract import FINGERS, wire
 from service.recordings.reader import Recording
 from service.recordings.writer import IMAGE
-from tests.service.client import Driver
+from tests.service.client import Driver, greeted
 from tests.service.conftest import LiveService
 
 POSE = wire.ToolPose(x_mm=8.0, y_mm=0.0, z_mm=35.0, yaw_deg=6.0)
@@ -37,8 +37,7 @@ def tell(driver: Driver, *, seconds: float = 0.0, left_out_n: int = 0) -> list[i
 
 def episode(live: LiveService, name: str, cause: wire.Cause | None = None, **fields: object) -> tuple[Path, list[int]]:
     """A recorded insertion: made, or given up for a cause."""
-    driver = Driver(live, name)
-    driver.until("hello")
+    driver = greeted(live, name)
     stamps = tell(driver, **fields)
     driver.attempt(1)
     if cause is None:
@@ -86,11 +85,8 @@ def test_a_camera_that_sends_jpeg_is_never_recorded_as_pixels(live: LiveService)
 
 def given_up(live: LiveService, name: str, cause: wire.Cause) -> Path:
     """The recording of an insertion that ends before its first attempt."""
-    driver = Driver(live, name)
-    driver.until("hello")
-    driver.send(wire.Abort(insertion_id=name, cause=cause, reason="test"))
-    finished = driver.until("finished")
-    driver.close()
+    driver = greeted(live, name)
+    finished = driver.gives_up(cause, "test")
     return Path(finished.recording)
 
 

@@ -11,7 +11,7 @@ from service import __main__ as entry
 from service.contract import FINGERS, wire
 from service.recordings.reader import Recording
 from tests.service.apart import apart
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.recordings.test_episode import tell
 
 
@@ -20,12 +20,9 @@ def test_a_killed_service_has_kept_the_insertion_and_makes_it_whole_at_the_next_
     tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with apart(tmp_path, models_folder) as live:
-        driver = Driver(live, "killed")
-        driver.until("hello")
+        driver = greeted(live, "killed")
         decided = driver.attempt(1)
-        driver.rest()
-        driver.send(wire.Arm(insertion_id="killed", attempt=2, gap_width_mm=56.0, expected_depth_mm=25.0))
-        driver.until("armed")
+        driver.arms(2)
         told_ns = tell(driver, seconds=3.0)
         killed_ns = time.time_ns()
         live.service.kill()

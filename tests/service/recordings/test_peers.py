@@ -19,7 +19,7 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from mcap.reader import make_reader
 
 from tests.service.apart import Apart, apart
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.conftest import LiveService
 
 PICTURES = {"/left/image", "/right/image"}
@@ -66,8 +66,7 @@ def python() -> str:
 
 @pytest.fixture(scope="module")
 def recording(live: LiveService) -> Path:
-    driver = Driver(live, "peers")
-    driver.until("hello")
+    driver = greeted(live, "peers")
     driver.attempt(1)
     path = driver.insert(2).recording
     driver.close()
@@ -125,8 +124,7 @@ def test_rerun_has_every_frame_recorded_at_60_hz_with_four_viewers(
     with apart(tmp_path, models_folder, 60.0) as live, watched(live):
         paths = []
         for number in range(8):
-            driver = Driver(live, f"under-load-{number}")
-            driver.until("hello")
+            driver = greeted(live, f"under-load-{number}")
             paths.append(Path(driver.insert(1).recording))
             driver.close()
         rates = {one["finger"]: one["frame_rate_hz"] for one in httpx.get(live.url("/v1/cameras")).json()["cameras"]}

@@ -19,10 +19,11 @@ from service.recordings.reader import Recording
 from service.recordings.writer import FINAL
 from service.session.station import Station
 from service.settings import Settings
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.conftest import LiveService, bearer, live_service, served
 from tests.service.perception.synthetic import draw, grid
 from tests.service.process import ServiceProcess, service_process
+from tests.waiting import wait_for
 
 
 @pytest.fixture
@@ -32,8 +33,7 @@ def own(tmp_path: Path, models_folder: Path) -> Iterator[LiveService]:
 
 
 def inserted(live: LiveService, name: str) -> Path:
-    driver = Driver(live, name)
-    driver.until("hello")
+    driver = greeted(live, name)
     finished = driver.insert(1)
     driver.close()
     return Path(finished.recording).parent
@@ -78,8 +78,7 @@ def test_a_recording_that_was_broken_off_is_named(own: LiveService) -> None:
 
 
 def test_a_recording_that_is_being_written_is_no_problem(own: LiveService) -> None:
-    driver = Driver(own, "under-way")
-    driver.until("hello")
+    driver = greeted(own, "under-way")
     assert listed(own) == ([], [])
     finished = driver.insert(1)
     assert finished.outcome == "inserted", finished
@@ -231,9 +230,7 @@ def test_a_full_disk_is_said_while_it_is_full_and_the_insertion_ends_as_it_shoul
             link.send(wire.Abort(insertion_id="full", cause="operator", reason="done").model_dump_json())
             while wire.parse_service(link.recv(20)).type != "finished":
                 show()
-        until = time.monotonic() + 60
-        while metric(service.url("/metrics"), "tactile_insertions_unrecorded") != 1.0:
-            assert time.monotonic() < until
+        wait_for(lambda: metric(service.url("/metrics"), "tactile_insertions_unrecorded") == 1.0)
         answer = httpx.get(service.url("/v1/recordings")).json()
         assert len(answer["recordings"]) + len(answer["problems"]) == 1
         limited(service, resource.RLIM_INFINITY)

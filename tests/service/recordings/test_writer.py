@@ -17,23 +17,21 @@ from mcap.reader import make_reader
 
 from service import __main__ as entry
 from service.cameras.capture import CameraFrame
-from service.contract import FrameSpec, TactileFrame, wire
-from service.perception.finger import TactileFinger
+from service.contract import TactileFrame, wire
 from service.recordings.listing import held_over, list_recordings
 from service.recordings.reader import Recording, RecordingError
 from service.recordings.recovery import recover
 from service.recordings.retention import largest_bytes, make_room, prune
 from service.recordings.writer import Recorder
 from tests.service import drawn
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.conftest import LiveService
 
 
 def test_a_recorded_insertion_is_decided_again_bit_for_bit(
     live: LiveService, models_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    driver = Driver(live, "again")
-    driver.until("hello")
+    driver = greeted(live, "again")
     driver.attempt(1)
     driver.attempt(2)
     path = driver.insert(3).recording
@@ -52,9 +50,7 @@ def test_a_recorded_insertion_is_decided_again_bit_for_bit(
 
 def test_recorded_markers_are_read_with_the_schema_that_lies_beside_them(tmp_path: Path) -> None:
     """By a pool that knows only the file."""
-    spec = FrameSpec(width_px=327, height_px=320)
-    watch = TactileFinger("left", spec, drawn.calibration().camera("left"))
-    observation = watch.observe(TactileFrame("left", 7, 123_456_789, drawn.raw("left", 0, 10, 16)))
+    observation = drawn.watch().observe(TactileFrame("left", 7, 123_456_789, drawn.raw("left", 0, 10, 16)))
     recorder = Recorder(tmp_path, "markers", {})
     recorder.observation(observation)
     with recorder.close({}).open("rb") as stream:

@@ -7,9 +7,8 @@ import httpx
 import onnx
 import pytest
 
-from service.contract import wire
 from tests.service import tiny_models
-from tests.service.client import Driver
+from tests.service.client import Driver, greeted
 from tests.service.conftest import LiveService, live_service
 
 LOAD = "/v2/repository/models/direction.step/load"
@@ -74,11 +73,8 @@ def test_whatever_is_wrong_with_the_new_ones_the_old_ones_stay(swappable: LiveSe
 
 
 def test_models_are_not_swapped_under_an_insertion(swappable: LiveService) -> None:
-    driver = Driver(swappable, "under-way")
-    driver.until("hello")
+    driver = greeted(swappable, "under-way")
     refused = httpx.post(swappable.url(LOAD), headers=swappable.bearer)
     assert (refused.status_code, "insertion is under way" in refused.json()["error"]) == (400, True)
     driver.attempt(1)
-    driver.send(wire.Abort(insertion_id="under-way", cause="operator", reason="done"))
-    driver.until("finished")
-    driver.close()
+    driver.gives_up()

@@ -18,7 +18,7 @@ from service.session.factory import make_session
 from service.settings import Settings
 from service.tools.redecide import open_replay
 from tests.service import tiny_models
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.conftest import LiveService, bearer, served
 
 
@@ -106,12 +106,9 @@ def test_an_insertion_that_went_on_with_an_object_taken_afresh_is_decided_again_
     live: LiveService, tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name, before in (("first", None), ("second", "first")):
-        driver = Driver(live, name, continues=before)
-        driver.until("hello")
+        driver = greeted(live, name, continues=before)
         driver.attempt(1)
-        driver.send(wire.Abort(insertion_id=name, cause="afresh", reason="turned_in_hand"))
-        path = Path(driver.until("finished").recording)
-        driver.close()
+        path = Path(driver.gives_up("afresh", "turned_in_hand").recording)
     assert main(["replay", str(path), "--models", str(models_folder)]) == 0
     capsys.readouterr()
     alone = shutil.copytree(path.parent, tmp_path / path.parent.name)

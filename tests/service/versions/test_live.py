@@ -1,7 +1,6 @@
 """A version in shadow on a running service: it answers the active version's attempts, and decides when it should."""
 
 import json
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import onnx
 import pytest
 
 from service.__main__ import main
-from service.contract import wire
 from service.contract.token import keep_token
 from service.decision.models import load_models
 from service.recordings.reader import Recording
@@ -18,6 +16,7 @@ from service.versions.contest import Bet, Contest
 from tests.service import tiny_models
 from tests.service.client import Driver
 from tests.service.conftest import LiveService, live_service
+from tests.waiting import wait_for
 
 SURE = Bet(taken_n=100, capital=(100.0,) * 4)
 
@@ -54,11 +53,8 @@ def regrasped(cell: LiveService) -> None:
     """A blocked attempt, a regrasp instead of the next one, and the object goes in."""
     first = Driver(cell, "turned")
     first.attempt(1)
-    first.send(wire.Arm(insertion_id="turned", attempt=2, gap_width_mm=56.0, expected_depth_mm=25.0))
-    first.until("armed")
-    first.send(wire.Abort(insertion_id="turned", cause="afresh", reason="turned"))
-    first.until("finished")
-    first.close()
+    first.arms(2)
+    first.gives_up("afresh", "turned")
     again = Driver(cell, "upright", continues="turned")
     assert again.insert(1).outcome == "inserted"
     again.close()
@@ -71,13 +67,6 @@ def hashes(folder: Path) -> list[str]:
 def serving(cell: LiveService) -> list[str]:
     """The networks that a request is answered by."""
     return [entry["sha256"] for entry in httpx.get(cell.url("/v1/models")).json()["models"]]
-
-
-def until(what, timeout_s: float = 30.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while not what():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 def surely(cell: LiveService, role: str) -> None:
@@ -110,16 +99,16 @@ def test_both_answer_to_the_same_attempt_and_the_record_holds_both(
         assert answers[other]["estimate"] != correction["estimate"]
         summary = json.loads((path.parent / "summary.json").read_text())
         assert summary["decisions"][0]["beside"] == answers
-        until(lambda: ask(cell, "GET").json()["shadow"]["scored_n"] == 1)
+        wait_for(lambda: ask(cell, "GET").json()["shadow"]["scored_n"] == 1)
         assert ask(cell, "GET").json()["previous"]["scored_n"] == 1
         assert insert(cell, "twice")[0] == decided
-        until(lambda: ask(cell, "GET").json()["shadow"]["ended_n"] == 2)
+        wait_for(lambda: ask(cell, "GET").json()["shadow"]["ended_n"] == 2)
         assert ask(cell, "GET").json()["shadow"]["scored_n"] == 1, "an insertion without a blocked attempt scores none"
         capsys.readouterr()
         assert main(["versions", "--url", cell.url("")]) == 0
         assert "of 20, after 2 insertions" in " ".join(capsys.readouterr().out.split())
         regrasped(cell)
-        until(lambda: cell.station.versions._now.wiring.contest("shadow").ended_n == 3)
+        wait_for(lambda: cell.station.versions._now.wiring.contest("shadow").ended_n == 3)
         assert cell.station.versions._now.wiring.contest("shadow").attempts_n == 2 + 1 + 2, "of both grasps"
         where = cell.station.versions.active.steps[0].path.parent
         assert main(["replay", str(path), "--models", str(where)]) == 0  # bit for bit: nothing beside it moved the arm
@@ -131,11 +120,11 @@ def test_the_better_one_decides_the_next_insertion_also_after_a_restart_and_a_wo
     with live_service(tmp_path, models, shadow=shadow) as cell:
         surely(cell, "shadow")
         assert insert(cell, "before")[0] == hashes(models)
-        until(lambda: ask(cell, "GET").json()["previous"])
+        wait_for(lambda: ask(cell, "GET").json()["previous"])
         words = "decides from the next insertion on: it foretells better"
-        until(lambda: any(words in one["text"] for one in httpx.get(cell.url("/v1/status")).json()["events"]))
+        wait_for(lambda: any(words in one["text"] for one in httpx.get(cell.url("/v1/status")).json()["events"]))
         assert insert(cell, "promoted")[0] == hashes(shadow)
-        until(lambda: ask(cell, "GET").json()["previous"]["ended_n"] == 1)
+        wait_for(lambda: ask(cell, "GET").json()["previous"]["ended_n"] == 1)
         page, state = httpx.get(cell.url("/v1/status")).json(), ask(cell, "GET").json()
         active, before = state["active"]["version"], state["previous"]["version"]
         assert page["health"]["versions"][0] == f"version {active[:6]} decides"
@@ -146,7 +135,7 @@ def test_the_better_one_decides_the_next_insertion_also_after_a_restart_and_a_wo
         assert ask(cell, "GET").json()["previous"]["ended_n"] == 1
         surely(cell, "previous")
         assert insert(cell, "restarted")[0] == hashes(shadow)
-        until(lambda: ask(cell, "GET").json()["previous"] is None)
+        wait_for(lambda: ask(cell, "GET").json()["previous"] is None)
         assert insert(cell, "back")[0] == hashes(models)
         refused = ask(cell, "POST", "/shadow", folder=str(shadow))
         assert refused.status_code == 400
@@ -176,7 +165,7 @@ def test_a_person_changes_versions_between_insertions_and_never_in_one(
     assert [entry.sha256 for entry in cell.station.active.session.models.entries] == serving(cell) == hashes(models)
     assert driver.insert(1).outcome == "inserted"
     driver.close()
-    until(lambda: cell.station.active is None)
+    wait_for(lambda: cell.station.active is None)
     assert serving(cell) == hashes(shadow), "what is asked about recorded frames is asked of those that decide next"
     assert insert(cell, "next")[0] == hashes(shadow)
     assert main(["versions", "rollback", *there]) == 0

@@ -9,20 +9,16 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.contract import wire
 from service.web.page.alarms import EARLIER, KEPT_N, Alarms
 from service.web.page.status import SHOWN_ALARMS_N, Status
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.conftest import LiveService, live_service
 from tests.service.web.test_status import status, until
 
 
 def lose_a_part(live: LiveService, name: str) -> None:
-    driver = Driver(live, name)
-    driver.until("hello")
-    driver.send(wire.Abort(insertion_id=name, cause="part_lost", reason="gripper: part_lost"))
-    driver.until("finished")
-    driver.close()
+    driver = greeted(live, name)
+    driver.gives_up("part_lost", "gripper: part_lost")
 
 
 def test_more_failures_than_the_page_lists_are_all_acknowledged_one_after_the_other(live: LiveService) -> None:
@@ -69,8 +65,7 @@ def test_an_insertion_that_was_not_recorded_while_nobody_looked_is_one_alarm_in_
     tmp_path: Path, models_folder: Path
 ) -> None:
     with live_service(tmp_path, models_folder) as live:
-        driver = Driver(live, "unseen")
-        driver.until("hello")
+        driver = greeted(live, "unseen")
         with Path("/dev/full").open("wb") as full:
             os.dup2(full.fileno(), live.station.active.recorder._stream.fileno())
         assert driver.insert(1).outcome == "inserted"

@@ -13,7 +13,7 @@ from service.perception.rectification import Rectifier
 from service.session.factory import make_session
 from tests.docs.commands import ROOT
 from tests.service import drawn
-from tests.service.client import Driver
+from tests.service.client import Driver, greeted
 from tests.service.conftest import LiveService, live_service
 from tests.service.session.test_state_machine import hello, probe
 
@@ -38,12 +38,9 @@ def test_an_answer_does_not_wait_for_the_acknowledgement_of_its_head(live: LiveS
 
 
 def test_a_recorded_insertion_is_listed_played_and_removed(live: LiveService) -> None:
-    driver = Driver(live, "listed")
-    driver.until("hello")
+    driver = greeted(live, "listed")
     driver.attempt(1)
-    driver.send(wire.Abort(insertion_id="listed", cause="operator", reason="done"))
-    driver.until("finished")
-    driver.close()
+    driver.gives_up()
     (entry,) = [r for r in httpx.get(live.url("/v1/recordings")).json()["recordings"] if r["insertion_id"] == "listed"]
     base = live.url(f"/v1/recordings/{entry['name']}")
     assert (entry["attempts"], entry["outcome"]) == (1, "aborted")
@@ -73,7 +70,7 @@ def test_a_recording_that_two_remove_at_once_is_removed_and_nothing_breaks(live:
     url = live.url(f"/v1/recordings/{folder.name}")
     with ThreadPoolExecutor(2) as both:
         answers = list(both.map(lambda _: httpx.delete(url, headers=live.bearer), range(2)))
-    assert {answer.status_code for answer in answers} <= {200, 404, 409}
+    assert 200 in {answer.status_code for answer in answers} <= {200, 404, 409}
     assert all(answer.json() for answer in answers)
 
 

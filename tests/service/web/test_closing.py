@@ -3,7 +3,6 @@
 import contextlib
 import json
 import socket
-import time
 from pathlib import Path
 
 import pytest
@@ -12,8 +11,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from service.contract import wire
-from tests.service.client import Driver
+from tests.service.client import Driver, greeted
 from tests.service.conftest import LiveService, live_service
+from tests.waiting import wait_for
 
 
 def goodbye(link: ClientConnection) -> tuple[int, str]:
@@ -34,8 +34,7 @@ def first_words(live: LiveService, text: str | bytes) -> tuple[int, str]:
 
 def test_every_end_of_a_driving_connection_has_a_reason_and_a_line_in_the_log(live: LiveService) -> None:
     with structlog.testing.capture_logs() as lines:
-        driver = Driver(live, "ends")
-        driver.until("hello")
+        driver = greeted(live, "ends")
         busy = first_words(live, wire.ClientHello(insertion_id="other", client="x").model_dump_json())
         driver.insert(1)
         ends = [
@@ -69,8 +68,7 @@ def test_every_end_of_a_driving_connection_has_a_reason_and_a_line_in_the_log(li
 
 def test_a_service_that_stops_says_so_by_the_code(tmp_path: Path, models_folder: Path) -> None:
     with live_service(tmp_path, models_folder) as stopping:
-        driver = Driver(stopping, "left-alone")
-        driver.until("hello")
+        driver = greeted(stopping, "left-alone")
     assert goodbye(driver.socket)[0] == 1012
 
 
@@ -80,8 +78,7 @@ def test_who_asks_again_after_a_restart_is_told_how_the_insertion_ended(tmp_path
         driver = Driver(first, "whole")
         finished = driver.insert(1)
         driver.close()
-        driver = Driver(first, "broken-off")
-        driver.until("hello")
+        driver = greeted(first, "broken-off")
     summary = next(tmp_path.glob("recordings/*_broken-off/summary.json"))
     summary.write_text(
         json.dumps({"insertion_id": "broken-off", "outcome": "interrupted", "attempts": 2, "cause": "service"})
@@ -121,8 +118,7 @@ def test_a_listener_that_fails_is_counted_and_breaks_no_insertion(live: LiveServ
 
     remove = live.station.hub.subscribe(broken)
     try:
-        driver = Driver(live, "watched-badly")
-        driver.until("hello")
+        driver = greeted(live, "watched-badly")
         assert driver.insert(1).outcome == "inserted"
         driver.close()
     finally:
@@ -152,12 +148,5 @@ def test_a_viewer_that_does_not_read_is_let_go(
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         link.connect(("127.0.0.1", live.port))
         link.sendall(request_text.format(path).encode())
-        until(lambda: live.station.viewers_n == 1)
-        until(lambda: live.station.viewers_n == 0)
-
-
-def until(holds: object) -> None:
-    deadline = time.monotonic() + 60
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+        wait_for(lambda: live.station.viewers_n == 1)
+        wait_for(lambda: live.station.viewers_n == 0)

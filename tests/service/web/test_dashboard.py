@@ -15,7 +15,7 @@ import pytest
 
 from service.contract import wire
 from tests.service import tiny_models
-from tests.service.client import Driver
+from tests.service.client import Driver, greeted
 from tests.service.conftest import LiveService
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright (extra `browser`) is not installed")
@@ -85,17 +85,10 @@ def says(page: Any, words: str) -> None:
 
 
 def insertion(live: LiveService, name: str) -> Driver:
-    driver = Driver(live, name)
-    driver.until("hello")
+    driver = greeted(live, name)
     here = wire.ToolPose(x_mm=0.0, y_mm=0.0, z_mm=60.0, yaw_deg=0.0)
     driver.send(wire.Episode(insertion_id=name, object="rectangle", start=here, approach=here))
     return driver
-
-
-def give_up(driver: Driver, cause: wire.Cause = "operator", reason: str = "done") -> None:
-    driver.send(wire.Abort(insertion_id=driver.id, cause=cause, reason=reason))
-    driver.until("finished")
-    driver.close()
 
 
 def tell_depth(driver: Driver, began_ns: int, ended_ns: int) -> None:
@@ -139,7 +132,7 @@ def test_the_page_shows_an_insertion_as_it_happens_and_the_same_after_a_reload(l
 def test_a_failure_is_latched_until_it_is_acknowledged(live: LiveService, page: Any) -> None:
     driver = insertion(live, "dropped")
     driver.attempt(1)
-    give_up(driver, "part_lost", "gripper: part_lost: width 3.1 mm, held 40.2 mm")
+    driver.gives_up("part_lost", "gripper: part_lost: width 3.1 mm, held 40.2 mm")
     says(page, "Holding: the object slipped out of the fingers")
     page.reload()
     says(page, "Holding: the object slipped out of the fingers")
@@ -168,7 +161,7 @@ def test_nothing_is_cut_off_or_hard_to_use(live: LiveService, browser: Any, pane
             if view == "live" and (panel == "phone" or (panel, scheme) == ("monitor", "dark")):
                 keep(page, f"dashboard_{panel}")
     finally:
-        give_up(driver)
+        driver.gives_up()
         page.close()
 
 
@@ -204,7 +197,7 @@ def test_a_past_insertion_is_found_and_played_back_with_the_keyboard_alone(live:
         began_ns = time.monotonic_ns()
         driver.attempt(1)
         tell_depth(driver, began_ns, time.monotonic_ns())
-        give_up(driver, *(["operator"] if name == "keys" else REFUSED))
+        driver.gives_up(*(["operator"] if name == "keys" else REFUSED))
     page.route("**/uPlot.iife.min.js", lambda route: (page.wait_for_timeout(500), route.continue_()))
     page.goto(live.url("/#history"))
     page.evaluate("window.dispatchEvent(new HashChangeEvent('hashchange'))")  # while the charts' library is on its way

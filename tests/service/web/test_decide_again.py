@@ -9,13 +9,13 @@ from types import SimpleNamespace
 import httpx
 import pytest
 
-from service.contract import wire
 from service.recordings.need import needed
 from service.recordings.reader import Recording
 from tests.service import tiny_models
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.conftest import LiveService, live_service
 from tests.service.versions.test_live import ask, insert
+from tests.waiting import wait_for
 
 
 def decided_again(live: LiveService, path: Path) -> httpx.Response:
@@ -35,14 +35,10 @@ def test_the_version_that_decided_an_insertion_decides_it_again(tmp_path: Path) 
 
 
 def test_a_recording_that_is_too_large_is_refused(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
-    driver = Driver(live, "first")
-    driver.until("hello")
+    driver = greeted(live, "first")
     driver.attempt(1)
-    driver.send(wire.Abort(insertion_id="first", cause="afresh", reason="turned_in_hand"))
-    first = Path(driver.until("finished").recording)
-    driver.close()
-    again = Driver(live, "second", continues="first")
-    again.until("hello")
+    first = Path(driver.gives_up("afresh", "turned_in_hand").recording)
+    again = greeted(live, "second", continues="first")
     assert again.insert(1).outcome == "inserted"
     again.close()
     (second,) = live.recordings.glob("*_second/insertion.mcap")
@@ -67,19 +63,13 @@ def test_an_insertion_that_begins_ends_what_is_being_decided_again(
     monkeypatch.setattr("service.web.routes.playback.sys", SimpleNamespace(executable=str(slow)))
     with ThreadPoolExecutor(1) as beside:
         answer = beside.submit(decided_again, live, path)
-        while not (tmp_path / "number").is_file() or not (number := (tmp_path / "number").read_text().strip()):
-            time.sleep(0.05)
+        number = wait_for(lambda: (tmp_path / "number").is_file() and (tmp_path / "number").read_text().strip())
         time.sleep(0.2)
         assert os.getpriority(os.PRIO_PROCESS, int(number)) > os.getpriority(os.PRIO_PROCESS, 0)
-        driver = Driver(live, "next")
-        driver.until("hello")
+        driver = greeted(live, "next")
         refused = answer.result(30)
-    driver.send(wire.Abort(insertion_id="next", cause="operator", reason="done"))
-    driver.until("finished")
-    driver.close()
+    driver.gives_up()
     assert refused.status_code == 409
     assert refused.json()["error"] == "busy: an insertion has begun"
-    command, until_s = Path(f"/proc/{number}/cmdline"), time.monotonic() + 10.0
-    while command.exists() and command.read_text() and time.monotonic() < until_s:
-        time.sleep(0.05)
-    assert not command.exists() or not command.read_text()
+    command = Path(f"/proc/{number}/cmdline")
+    wait_for(lambda: not command.exists() or not command.read_text())

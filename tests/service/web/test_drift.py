@@ -1,9 +1,9 @@
 """Drift is measured on each insertion, and reported to the person, the log and Prometheus."""
 
 import json
-import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -11,9 +11,10 @@ import pytest
 from service.decision.models import load_models
 from service.observability.charts import LEARNT_N, LIMIT
 from service.session.manager import CHARTS
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.conftest import LiveService, live_service
 from tests.service.session.test_manager import manager
+from tests.waiting import wait_for
 
 
 @pytest.fixture
@@ -24,23 +25,21 @@ def cell(tmp_path: Path, models_folder: Path) -> Iterator[LiveService]:
 
 def insert(cell: LiveService, name: str) -> dict[str, object]:
     """An object that is inserted at once; returns its summary."""
-    driver = Driver(cell, name)
-    driver.until("hello")
+    driver = greeted(cell, name)
     finished = driver.insert(1)
     driver.close()
     return json.loads((Path(finished.recording).parent / "summary.json").read_text())
 
 
-def kept(cell: LiveService, n: int) -> dict[str, dict[str, dict[str, list[float]]]]:
+def kept(cell: LiveService, n: int) -> dict[str, Any]:
     """Contents of the charts' file once ``n`` insertions were added."""
-    deadline = time.monotonic() + 30
-    while True:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-        if (path := cell.recordings / CHARTS).exists():
-            charts = json.loads(path.read_text())["charts"]
-            if sum(map(len, charts["light"]["learnt"].values())) == n:
-                return charts
+
+    def charts() -> dict[str, Any] | None:
+        path = cell.recordings / CHARTS
+        made = json.loads(path.read_text())["charts"] if path.exists() else None
+        return made if made and sum(map(len, made["light"]["learnt"].values())) == n else None
+
+    return wait_for(charts)
 
 
 def test_a_changed_light_is_measured_and_named_everywhere(cell: LiveService) -> None:
@@ -54,11 +53,7 @@ def test_a_changed_light_is_measured_and_named_everywhere(cell: LiveService) -> 
     light.learnt[""] = sorted(summary["brightness_grey"] + 10.0 + 0.1 * i for i in range(LEARNT_N))
     light.low = LIMIT - 1.0
     insert(cell, "darker")
-    deadline = time.monotonic() + 30
-    while not (alarms := httpx.get(cell.url("/v1/status")).json()["alarms"]):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-    (alarm,) = alarms
+    (alarm,) = wait_for(lambda: httpx.get(cell.url("/v1/status")).json()["alarms"])
     assert (alarm["key"], alarm["level"], alarm["active"]) == ("drift light", "warning", True)
     assert "changed light" in alarm["title"]
     assert "brightness" in alarm["detail"]

@@ -22,7 +22,7 @@ from websockets.sync.client import connect
 
 from service.contract import wire
 from service.web import asyncapi
-from tests.service.client import Driver
+from tests.service.client import Driver, greeted
 from tests.service.conftest import LiveService
 
 CHECKS = [
@@ -132,15 +132,16 @@ def test_a_thousand_conversations_do_not_kill_a_session(live: LiveService) -> No
 
 
 def test_an_oversized_message_closes_the_connection_and_nothing_else(live: LiveService) -> None:
-    driver = Driver(live, f"beside-{next(numbers)}")
-    driver.until("hello")
+    driver = greeted(live, f"beside-{next(numbers)}")
     for size in (wire.MAX_TEXT_BYTES + 1, 5 << 20):
         with connect(live.url("/v1/insertions/ws", "ws"), additional_headers=live.bearer, compression=None) as link:
             with contextlib.suppress(ConnectionClosed):
                 link.send("x" * size)
+            heard = []
             with contextlib.suppress(ConnectionClosed):
-                fault = wire.parse_service(link.recv(10))
-                assert (fault.code, fault.fatal) == ("bad_message", True)
+                while True:
+                    heard.append(wire.parse_service(link.recv(10)))
+            assert [(fault.code, fault.fatal) for fault in heard] in ([], [("bad_message", True)]), "or overtaken"
     driver.attempt(1)
     assert driver.insert(2).outcome == "inserted"
     driver.close()

@@ -12,8 +12,9 @@ import pytest
 from websockets.sync.client import connect
 
 from service.contract import wire
-from tests.service.client import Driver
+from tests.service.client import Driver, greeted
 from tests.service.conftest import LiveService
+from tests.waiting import wait_for
 
 
 def test_a_whole_insertion_with_corrections_is_answered_and_recorded(live: LiveService) -> None:
@@ -39,17 +40,11 @@ def test_an_ended_insertion_is_freed_at_once(live: LiveService) -> None:
     gc.collect()
     gc.disable()
     try:
-        driver = Driver(live, "freed")
-        driver.until("hello")
+        driver = greeted(live, "freed")
         driver.attempt(1)
         session = weakref.ref(live.station.active.session.left)
-        driver.send(wire.Abort(insertion_id="freed", cause="operator", reason="done"))
-        driver.until("finished")
-        driver.close()
-        deadline = time.monotonic() + 20
-        while session() is not None and time.monotonic() < deadline:
-            time.sleep(0.02)
-        assert session() is None
+        driver.gives_up()
+        wait_for(lambda: session() is None)
     finally:
         gc.enable()
 
@@ -100,8 +95,7 @@ def refused_n(live: LiveService) -> dict[str, float]:
 
 def test_a_client_that_is_turned_away_is_counted_by_why(live: LiveService) -> None:
     before = refused_n(live)
-    driver = Driver(live, "driving")
-    driver.until("hello")
+    driver = greeted(live, "driving")
     for code, hello in {"busy": {}, "protocol_version": {"protocol": 1}}.items():
         other = Driver(live, "other", **hello)
         assert other.receive().code == code
@@ -109,68 +103,44 @@ def test_a_client_that_is_turned_away_is_counted_by_why(live: LiveService) -> No
     with connect(live.url("/v1/insertions/ws", "ws")) as nobody:
         nobody.send(wire.ClientHello(insertion_id="other", client="test").model_dump_json())
         assert wire.parse_service(nobody.recv(20)).code == "forbidden"
-    driver.send(wire.Abort(insertion_id="driving", cause="operator", reason="done"))
-    driver.until("finished")
-    driver.close()
+    driver.gives_up()
     changed = {code: n - before[code] for code, n in refused_n(live).items() if n != before[code]}
     assert changed == {"busy": 1, "protocol_version": 1, "forbidden": 1}
 
 
 def test_garbage_is_answered_by_a_fault_and_the_insertion_goes_on(live: LiveService) -> None:
-    driver = Driver(live, "garbled")
-    driver.until("hello")
+    driver = greeted(live, "garbled")
     for garbage in ("{", '{"type": "arm"}', "[]", '{"type": "dance", "insertion_id": "garbled"}'):
         driver.socket.send(garbage)
         assert driver.receive().code == "bad_message"
     driver.socket.send(b"\0" * 100)
     assert driver.receive().code == "bad_message"
     driver.attempt(1)
-    driver.send(wire.Abort(insertion_id="garbled", cause="operator", reason="done"))
-    driver.until("finished")
-    driver.close()
+    driver.gives_up()
 
 
 def test_a_client_that_lost_its_connection_takes_its_insertion_up_again(live: LiveService) -> None:
-    driver = Driver(live, "resumed")
-    driver.until("hello")
+    driver = greeted(live, "resumed")
     driver.attempt(1)
     driver.close()
     time.sleep(0.1)
-    again = Driver(live, "resumed")
-    again.until("hello")
+    again = greeted(live, "resumed")
     again.attempt(2)
-    again.send(wire.Abort(insertion_id="resumed", cause="operator", reason="done"))
-    assert again.until("finished").attempts == 2
-    again.close()
+    assert again.gives_up().attempts == 2
 
 
 def test_a_client_that_is_gone_makes_room_for_the_next_one_at_once(live: LiveService) -> None:
-    gone = Driver(live, "gone")
-    gone.until("hello")
+    gone = greeted(live, "gone")
     gone.attempt(1)
     gone.close()
-    deadline = time.monotonic() + 50  # the service gives a silent client up after 60 s: this must not be what helps
-    while live.station.active is None or live.station.active.send is not None:
-        assert time.monotonic() < deadline, "the lost connection was not noticed"
-        time.sleep(0.01)
+    # the service gives a silent client up after 60 s: this must not be what helps
+    wait_for(lambda: live.station.active is not None and live.station.active.send is None, 50.0)
     following = Driver(live, "following")
     assert following.until("hello").insertion_id == "following"
-    following.send(wire.Abort(insertion_id="following", cause="operator", reason="done"))
-    following.until("finished")
-    following.close()
-    while not list(live.recordings.glob("*_gone/summary.json")):  # its recording is closed beside the next insertion
-        assert time.monotonic() < deadline, "the lost client's recording was not closed"
-        time.sleep(0.01)
-    (summary,) = [json.loads(p.read_text()) for p in live.recordings.glob("*_gone/summary.json")]
+    following.gives_up()
+    (path,) = wait_for(lambda: list(live.recordings.glob("*_gone/summary.json")), 50.0)  # closed beside the next one
+    summary = json.loads(path.read_text())
     assert (summary["outcome"], summary["attempts"]) == ("failed", 1)
-
-
-def returns_after_s(live: LiveService) -> float:
-    """How long until both cameras are live again."""
-    started = time.monotonic()
-    while not live.station.ready and time.monotonic() < started + 60:
-        time.sleep(0.01)
-    return time.monotonic() - started
 
 
 @pytest.mark.slow
@@ -179,31 +149,27 @@ def test_a_camera_that_returns_is_found_within_a_second(live: LiveService) -> No
     taken = []
     for _ in range(7):
         live.fingers[0].connected = False
-        while live.station.ready:
-            time.sleep(0.01)
+        wait_for(lambda: not live.station.ready)
         time.sleep(0.5)
         live.fingers[0].connected = True
-        taken.append(returns_after_s(live))
+        returned_s = time.monotonic()
+        wait_for(lambda: live.station.ready)
+        taken.append(time.monotonic() - returned_s)
     assert statistics.median(taken) < 1.0
 
 
 def test_a_cut_camera_is_a_fault_and_comes_back(live: LiveService) -> None:
     left = live.fingers[0]
-    driver = Driver(live, "cut")
-    driver.until("hello")
-    driver.rest()
-    driver.send(wire.Arm(insertion_id="cut", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0))
-    driver.until("armed")
+    driver = greeted(live, "cut")
+    driver.arms(1)
     left.connected = False
     while (fault := driver.receive()).type == "watching":  # frames that were on their way
         pass
     assert (fault.code, fault.fatal) == ("camera_lost", False)
     assert httpx.get(live.url("/readyz")).status_code == 503
     left.connected = True
-    assert returns_after_s(live) < 50
+    wait_for(lambda: live.station.ready, 50.0)
     driver.send(wire.Stopped(insertion_id="cut", attempt=1, depth_mm=3.0, outcome="blocked"))
     refused = driver.receive()
     assert (refused.type, refused.reason) == ("no_decision", "stale")
-    driver.send(wire.Abort(insertion_id="cut", cause="operator", reason="done"))
-    driver.until("finished")
-    driver.close()
+    driver.gives_up()

@@ -4,7 +4,6 @@ import json
 import re
 import shutil
 import socket
-import time
 from pathlib import Path
 
 import httpx
@@ -14,8 +13,9 @@ from websockets.sync.client import connect
 
 from service.contract import wire
 from service.settings import Settings
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.conftest import LiveService, live_service, served
+from tests.waiting import wait_for
 
 DRIVE, ADMIN = "a-token-for-driving", "a-token-for-administration"
 REBOUND = "evil.example"  # a page's name, made to resolve to this machine
@@ -67,8 +67,7 @@ def test_without_the_token_this_machine_may_watch_and_nothing_else(live: LiveSer
 
 
 def test_the_generated_token_drives_and_administers(live: LiveService) -> None:
-    driver = Driver(live, "locked")
-    driver.until("hello")
+    driver = greeted(live, "locked")
     assert driver.insert(1).outcome == "inserted"
     driver.close()
     (entry,) = [r for r in httpx.get(live.url("/v1/recordings")).json()["recordings"] if r["insertion_id"] == "locked"]
@@ -141,8 +140,7 @@ def test_a_cameras_password_is_shown_to_nobody(tmp_path: Path, models_folder: Pa
     }
     settings = Settings(models=models_folder, recordings=tmp_path / "r", state=tmp_path / "state", **cameras)
     with served(settings) as (station, port):
-        while {camera.state for camera in station.cameras.values()} != {"lost"}:
-            time.sleep(0.05)
+        wait_for(lambda: {camera.state for camera in station.cameras.values()} == {"lost"})
         paths = ("/readyz", "/v1/cameras", "/v1/status", "/metrics")
         texts = [httpx.get(f"http://127.0.0.1:{port}{path}").text for path in paths]
     assert not any(secret in text for text in [*texts, settings.model_dump_json()])
@@ -164,7 +162,6 @@ def test_no_header_makes_another_client_of_a_peer(tmp_path: Path, models_folder:
 
         assert [ask(number) for number in range(20)].count(429) >= 15
         assert httpx.get(slow.url("/healthz")).status_code == 200
-        driver = Driver(slow, "still-gets-in")
-        driver.until("hello")
+        driver = greeted(slow, "still-gets-in")
         assert driver.insert(1).outcome == "inserted"
         driver.close()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from simulation.studies.motion_bounds.relay import Relay
 from tests.service.conftest import LiveService
 from tests.service.web import test_dashboard
-from tests.service.web.test_dashboard import give_up, insertion, says, wait_until
+from tests.service.web.test_dashboard import insertion, says, wait_until
 
 browser, page, pytestmark = test_dashboard.browser, test_dashboard.page, test_dashboard.pytestmark
 PLAYED = "document.querySelectorAll('#curves canvas').length === 3"
@@ -59,7 +59,7 @@ def test_the_curve_of_one_finger_does_not_hide_the_others(live: LiveService, pag
     """Both fingers felt the same here: of a solid line below another solid one nothing would be left."""
     driver = insertion(live, "curves")
     driver.attempt(1)
-    give_up(driver)
+    driver.gives_up()
     page.goto(live.url("/#history"))
     page.get_by_label("play back curves", exact=True).click()
     wait_until(page, PLAYED)
@@ -79,7 +79,7 @@ def test_the_curve_of_one_finger_does_not_hide_the_others(live: LiveService, pag
 def test_curves_follow_a_window_that_is_resized_while_they_are_open(live: LiveService, page: Any) -> None:
     driver = insertion(live, "resized")
     driver.attempt(1)
-    give_up(driver)
+    driver.gives_up()
     page.set_viewport_size({"width": 1600, "height": 900})
     page.goto(live.url("/#history"))
     page.get_by_label("play back resized", exact=True).click()
@@ -103,13 +103,13 @@ def test_an_amber_sentence_says_which_picture_is_missing(live: LiveService, page
         assert "No picture from the right camera" in page.locator("#detail").text_content()
     finally:
         live.fingers[1].connected = True
-        give_up(driver)
+        driver.gives_up()
     page.get_by_text(re.compile(r"right \d+ Hz")).wait_for()
 
 
 def test_without_a_link_nothing_looks_alive_and_nothing_is_offered(live: LiveService, browser: Any) -> None:
     """An alarm is open as the link is cut: pressing Acknowledge then would do nothing, and nobody would know."""
-    give_up(insertion(live, "cut"), "part_lost", "width 3.1 mm")
+    insertion(live, "cut").gives_up("part_lost", "width 3.1 mm")
     with closing(Relay.to(live.url(""))) as relay, closing(browser.new_page()) as page:
         page.goto(f"{relay.url}/")
         says(page, "Holding")
@@ -126,7 +126,7 @@ def test_without_a_link_nothing_looks_alive_and_nothing_is_offered(live: LiveSer
 
 
 def test_a_screen_reader_says_the_remedy_once(live: LiveService, page: Any) -> None:
-    give_up(insertion(live, "announced"), "part_lost", "width 3.1 mm")
+    insertion(live, "announced").gives_up("part_lost", "width 3.1 mm")
     says(page, "Holding")
     announced = page.locator("[role=status], [aria-live]")
     assert announced.filter(has_text="Holding").first.get_attribute("aria-live") == "assertive"
@@ -140,7 +140,7 @@ def test_a_screen_reader_says_the_remedy_once(live: LiveService, page: Any) -> N
 
 
 def test_the_keyboard_is_never_nowhere(live: LiveService, page: Any) -> None:
-    give_up(insertion(live, "first"), "part_lost", "width 3.1 mm")
+    insertion(live, "first").gives_up("part_lost", "width 3.1 mm")
     says(page, "Holding")
     page.locator("#acknowledge").focus()
     page.keyboard.press("Enter")
@@ -148,12 +148,12 @@ def test_the_keyboard_is_never_nowhere(live: LiveService, page: Any) -> None:
     assert page.evaluate("document.activeElement.id") == "words"
     page.goto(live.url("/#history"))
     page.get_by_label("play back first", exact=True).focus()
-    give_up(insertion(live, "second"))
+    insertion(live, "second").gives_up()
     page.get_by_label("play back second", exact=True).wait_for()
     assert page.evaluate(FOCUSED) == "play back first", "a row came in above it"
     page.keyboard.press("Enter")
     wait_until(page, PLAYED)
-    give_up(insertion(live, "third"))
+    insertion(live, "third").gives_up()
     page.get_by_label("play back third", exact=True).wait_for(state="attached")
     page.keyboard.press("Escape")
     wait_until(page, "!document.getElementById('player').open")
@@ -163,7 +163,7 @@ def test_the_keyboard_is_never_nowhere(live: LiveService, page: Any) -> None:
 @pytest.mark.parametrize("panel", ["panel", "small panel", "phone"])
 def test_a_gloved_finger_hits_what_it_presses(live: LiveService, browser: Any, panel: str) -> None:
     name = f"glove-{panel}".replace(" ", "-")
-    give_up(insertion(live, name), "part_lost", "width 3.1 mm")
+    insertion(live, name).gives_up("part_lost", "width 3.1 mm")
     width, height = test_dashboard.PANELS[panel]
     with closing(browser.new_page(viewport={"width": width, "height": height})) as page:
         page.goto(live.url("/"))
@@ -222,12 +222,12 @@ def test_a_long_move_fits_on_the_smallest_panel(live: LiveService, page: Any) ->
             "felt 12.9 mm right, 10.8° anticlockwise of the gap",
         ],
     )
-    give_up(driver)
+    driver.gives_up()
 
 
 def test_an_insertion_is_found_by_a_part_of_its_name(live: LiveService, page: Any) -> None:
     for name in ("20260928-part-4711", "20260928-part-4712"):
-        give_up(insertion(live, name))
+        insertion(live, name).gives_up()
     page.goto(live.url("/#history"))
     wait_until(page, "document.querySelectorAll('#past tr').length >= 2")
     page.get_by_label("Insertion", exact=True).fill("4711")

@@ -8,7 +8,7 @@ import pytest
 
 from tests.service.conftest import LiveService
 from tests.service.web import test_dashboard
-from tests.service.web.test_dashboard import PANELS, give_up, insertion, says, wait_until
+from tests.service.web.test_dashboard import PANELS, insertion, says, wait_until
 
 browser, page, pytestmark = test_dashboard.browser, test_dashboard.page, test_dashboard.pytestmark
 LONG = "box_of_500_mg_paracetamol_twenty_tablets_in_blisters_new_folding_carton_Germany"
@@ -56,7 +56,7 @@ def test_the_history_has_the_clock_of_the_alarms(live: LiveService, browser: Any
 
 
 def test_on_a_phone_what_is_wrong_comes_before_what_goes_on(live: LiveService, browser: Any) -> None:
-    give_up(insertion(live, "wrong"), "part_lost", "width 3.1 mm")
+    insertion(live, "wrong").gives_up("part_lost", "width 3.1 mm")
     width, height = PANELS["phone"]
     page = browser.new_page(viewport={"width": width, "height": height})
     page.goto(live.url("/"))

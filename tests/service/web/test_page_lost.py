@@ -11,7 +11,7 @@ from pydantic import SecretStr
 from simulation.studies.motion_bounds.relay import Relay
 from tests.service.conftest import LiveService, live_service
 from tests.service.web import test_dashboard
-from tests.service.web.test_dashboard import give_up, insertion, says, wait_until
+from tests.service.web.test_dashboard import insertion, says, wait_until
 
 browser, page, pytestmark = test_dashboard.browser, test_dashboard.page, test_dashboard.pytestmark
 TOKEN = "sixteen-or-more-characters"
@@ -50,7 +50,7 @@ def test_a_playback_says_when_the_service_does_not_answer(live: LiveService, pag
     for name in ("open", "later"):
         driver = insertion(live, name)
         driver.attempt(1)
-        give_up(driver)
+        driver.gives_up()
     page.goto(live.url("/#history"))
     page.get_by_label("play back open", exact=True).click()
     wait_until(page, "document.getElementById('then').textContent.includes(' s ')")

@@ -6,7 +6,7 @@ import pytest
 
 from tests.service.conftest import LiveService
 from tests.service.web import test_dashboard
-from tests.service.web.test_dashboard import give_up, insertion, wait_until
+from tests.service.web.test_dashboard import insertion, wait_until
 
 browser, page, pytestmark = test_dashboard.browser, test_dashboard.page, test_dashboard.pytestmark
 PLAYED = "document.querySelectorAll('#curves canvas').length === 3"
@@ -26,7 +26,7 @@ def test_an_answer_that_comes_late_is_not_shown_in_the_recording_opened_since(
     for name in ("late", "prompt"):
         driver = insertion(live, name)
         driver.attempt(1)
-        give_up(driver)
+        driver.gives_up()
     held: list[Any] = []
     page.route("**/*_late/timeline", lambda route: held.append(route))  # noqa: PLW0108 - a method of a list takes no mark
     page.goto(live.url("/#history"))
@@ -54,7 +54,7 @@ def test_a_playback_ends_with_how_and_why_the_insertion_ended(live: LiveService,
     driver = insertion(live, f"stopped-after-{attempts_n}")
     for number in range(1, attempts_n + 1):
         driver.attempt(number)
-    give_up(driver, "arm", "arm: controller: motors off")
+    driver.gives_up("arm", "arm: controller: motors off")
     page.goto(live.url("/#history"))
     page.get_by_label(f"play back {driver.id}", exact=True).click()
     wait_until(page, PLAYED)
@@ -68,8 +68,8 @@ def test_what_a_person_ended_is_listed_and_counts_neither_as_tried_nor_in_the_tr
     live: LiveService, page: Any
 ) -> None:
     for name in ("ended once", "ended twice"):
-        give_up(insertion(live, name.replace(" ", "-")))
-    give_up(insertion(live, "failed"), "arm", "arm: controller: motors off")
+        insertion(live, name.replace(" ", "-")).gives_up()
+    insertion(live, "failed").gives_up("arm", "arm: controller: motors off")
     page.goto(live.url("/#history"))
     wait_until(
         page, "/of [0-9]+ inserted.*; [0-9]+ aborted, not counted$/.test(document.getElementById('count').textContent)"

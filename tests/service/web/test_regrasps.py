@@ -13,9 +13,9 @@ from service.contract import wire
 from service.recordings.listing import list_recordings
 from service.web.page.past import newest
 from service.web.page.status import Status
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.conftest import LiveService
-from tests.service.web.test_status import arm, give_up
+from tests.waiting import wait_for
 
 DOUBT = wire.Doubt(reason="moved_in_hand", detail="it turned on its way in")
 REGRASPED = {"level": "busy", "words": "It had turned in the hand and is regrasped"}
@@ -23,23 +23,14 @@ REGRASPED = {"level": "busy", "words": "It had turned in the hand and is regrasp
 
 def put_back(live: LiveService, name: str, **hello: Any) -> None:
     """An insertion of two attempts, the second one refused before the descent."""
-    driver = Driver(live, name, **hello)
-    driver.until("hello")
+    driver = greeted(live, name, **hello)
     driver.attempt(1)
-    arm(driver, 2)
-    give_up(driver, "afresh", "service: refused: turned_in_hand: by about 1.4 deg")
+    driver.arms(2)
+    driver.gives_up("afresh", "service: refused: turned_in_hand: by about 1.4 deg")
 
 
 def headline(status: Status) -> dict[str, str]:
     return {key: status.snapshot()["headline"][key] for key in ("level", "words")}
-
-
-def wait_for(status: Status, expected: dict[str, str]) -> None:
-    """The page hears after the client."""
-    deadline = time.monotonic() + 60
-    while headline(status) != expected:
-        assert time.monotonic() < deadline, headline(status)
-        time.sleep(0.05)
 
 
 def test_a_restart_while_the_object_is_on_its_way_is_told_as_what_it_is(live: LiveService) -> None:
@@ -47,12 +38,12 @@ def test_a_restart_while_the_object_is_on_its_way_is_told_as_what_it_is(live: Li
     put_back(live, "second", continues="first")
     restarted = Status(live.station)
     assert headline(restarted) == REGRASPED
-    third = Driver(live, "third", continues="second")
-    third.until("hello")
-    arm(third, 1)
-    wait_for(restarted, {"level": "busy", "words": "Attempt 3 of 15: ready to go down"})
-    give_up(third, "operator", "done")
-    wait_for(restarted, {"level": "good", "words": "Ready for the next object"})
+    third = greeted(live, "third", continues="second")
+    third.arms(1)
+    ready = {"level": "busy", "words": "Attempt 3 of 15: ready to go down"}
+    wait_for(lambda: headline(restarted) == ready)  # the page hears after the client
+    third.gives_up()
+    wait_for(lambda: headline(restarted) == {"level": "good", "words": "Ready for the next object"})
     assert restarted.snapshot()["last"]["attempts"] == 3
 
 
@@ -62,7 +53,7 @@ def test_a_clock_that_is_set_neither_hurries_nor_delays_a_regrasp(
 ) -> None:
     shown = Status(live.station)
     put_back(live, f"stepped{step_s:+.0f}".replace("+", "on").replace("-", "back"))
-    wait_for(shown, REGRASPED)
+    wait_for(lambda: headline(shown) == REGRASPED)
     stepped = SimpleNamespace(time=lambda: time.time() + step_s, monotonic=time.monotonic)
     monkeypatch.setattr("service.web.page.status.time", stepped)
     assert headline(shown) == REGRASPED

@@ -1,7 +1,6 @@
 """The page's data: one snapshot, the same for early and late pages."""
 
 import json
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,8 +22,9 @@ from service.web.page.playback import timeline
 from service.web.page.running import Running
 from service.web.page.sentences import ended, event, shift, sure
 from service.web.page.status import Status
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.conftest import LiveService
+from tests.waiting import wait_for
 
 
 def status(live: LiveService) -> dict[str, Any]:
@@ -32,11 +32,7 @@ def status(live: LiveService) -> dict[str, Any]:
 
 
 def until(live: LiveService, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-    deadline = time.monotonic() + 60
-    while not holds(shown := status(live)):
-        assert time.monotonic() < deadline, shown
-        time.sleep(0.05)
-    return shown
+    return wait_for(lambda: shown if holds(shown := status(live)) else None)
 
 
 def first_status(live: LiveService) -> dict[str, Any]:
@@ -48,21 +44,12 @@ def first_status(live: LiveService) -> dict[str, Any]:
                 return message["content"]
 
 
-def give_up(driver: Driver, cause: wire.Cause, reason: str) -> None:
-    driver.send(wire.Abort(insertion_id=driver.id, cause=cause, reason=reason))
-    driver.until("finished")
-    driver.close()
-
-
 def test_a_page_opened_in_mid_attempt_says_what_goes_on(live: LiveService) -> None:
-    driver = Driver(live, "middle")
-    driver.until("hello")
+    driver = greeted(live, "middle")
     here = wire.ToolPose(x_mm=0.0, y_mm=0.0, z_mm=60.0, yaw_deg=0.0)
     driver.send(wire.Episode(insertion_id="middle", object="white_box", start=here, approach=here))
     moved = driver.attempt(1)
-    driver.rest()
-    driver.send(wire.Arm(insertion_id="middle", attempt=2, gap_width_mm=56.0, expected_depth_mm=25.0))
-    driver.until("armed")
+    driver.arms(2)
     driver.send(wire.Descending(insertion_id="middle", attempt=2))
     until(live, lambda shown: "lowering" in shown["headline"]["words"])
     shown = first_status(live)
@@ -73,14 +60,13 @@ def test_a_page_opened_in_mid_attempt_says_what_goes_on(live: LiveService) -> No
     where = (moved.estimate.dx_mm + moved.dx_mm, moved.estimate.dtheta_deg + moved.dtheta_deg)
     assert running["pose"] == pytest.approx(where)
     assert running["target"] is None
-    give_up(driver, "operator", "done")
+    driver.gives_up()
     assert until(live, lambda shown: shown["running"] is None)["last"]["words"] == "Stopped by a person"
 
 
 def test_a_failure_stays_until_a_person_has_seen_it_even_over_a_restart(live: LiveService) -> None:
-    driver = Driver(live, "lost")
-    driver.until("hello")
-    give_up(driver, "part_lost", "gripper: part_lost: width 3.1 mm")
+    driver = greeted(live, "lost")
+    driver.gives_up("part_lost", "gripper: part_lost: width 3.1 mm")
     shown = until(live, lambda shown: shown["headline"]["level"] == "stop")
     assert shown["headline"]["words"] == f"Holding: {CAUSES['part_lost'].what}"
     assert shown["headline"]["detail"] == f"{CAUSES['part_lost'].remedy}\ngripper: part_lost: width 3.1 mm"
@@ -97,29 +83,21 @@ def test_a_failure_stays_until_a_person_has_seen_it_even_over_a_restart(live: Li
     assert httpx.post(live.url("/v1/alarms/1/acknowledge"), headers=elsewhere).status_code == 403
 
 
-def arm(driver: Driver, number: int) -> None:
-    driver.rest()
-    driver.send(wire.Arm(insertion_id=driver.id, attempt=number, gap_width_mm=56.0, expected_depth_mm=25.0))
-    driver.until("armed")
-
-
 def test_an_object_that_is_taken_afresh_holds_nothing_up_and_its_attempts_are_counted_on(live: LiveService) -> None:
-    driver = Driver(live, "turned")
-    driver.until("hello")
+    driver = greeted(live, "turned")
     driver.attempt(1)
-    arm(driver, 2)
-    give_up(driver, "afresh", "service: refused: turned_in_hand: by about 1.4 deg")
+    driver.arms(2)
+    driver.gives_up("afresh", "service: refused: turned_in_hand: by about 1.4 deg")
     shown = until(live, lambda shown: shown["running"] is None)
     words = "It had turned in the hand and is regrasped"
     assert shown["headline"] == {"level": "busy", "words": words, "detail": CAUSES["afresh"].remedy}
     assert [alarm for alarm in shown["alarms"] if alarm["insertion_id"] == "turned"] == []
-    again = Driver(live, "again", continues="turned")
-    again.until("hello")
+    again = greeted(live, "again", continues="turned")
     assert until(live, lambda shown: shown["running"])["headline"]["words"].startswith("Regrasped: ")
-    arm(again, 1)
+    again.arms(1)
     shown = until(live, lambda shown: shown["headline"]["words"] == "Attempt 2 of 15: ready to go down")
     assert next(event["text"] for event in shown["events"] if "begins" in event["text"]) == "attempt 2 begins"
-    give_up(again, "operator", "done")
+    again.gives_up()
     assert until(live, lambda shown: shown["running"] is None)["last"]["attempts"] == 2
     listed = {one["insertion_id"]: one for one in httpx.get(live.url("/v1/recordings")).json()["recordings"]}
     assert (listed["turned"]["outcome"], listed["turned"]["cause"]) == ("aborted", "afresh")
@@ -139,9 +117,8 @@ def test_the_page_does_not_say_that_an_arm_holds_that_may_carry_its_part_away(re
 def test_an_object_that_nobody_takes_afresh_becomes_an_alarm(
     live: LiveService, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    driver = Driver(live, "left")
-    driver.until("hello")
-    give_up(driver, "afresh", "service: refused: turned_in_hand: by about 1.4 deg")
+    driver = greeted(live, "left")
+    driver.gives_up("afresh", "service: refused: turned_in_hand: by about 1.4 deg")
     assert until(live, lambda shown: shown["running"] is None)["headline"]["level"] == "busy"
     monkeypatch.setattr("service.web.page.status.AFRESH_S", 0.0)
     shown = status(live)
@@ -215,14 +192,11 @@ def test_a_recording_of_another_version_is_played_back_as_far_as_it_is_understoo
 
 
 def test_a_recorded_insertion_is_played_back_on_one_time_axis(live: LiveService) -> None:
-    driver = Driver(live, "played")
-    driver.until("hello")
+    driver = greeted(live, "played")
     decided = driver.attempt(1)
-    give_up(driver, "operator", "done")
-    deadline = time.monotonic() + 30
-    while not (summaries := list(live.recordings.glob("*_played/summary.json"))) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    base = f"/v1/recordings/{summaries[0].parent.name}"
+    driver.gives_up()
+    (summary,) = wait_for(lambda: list(live.recordings.glob("*_played/summary.json")))
+    base = f"/v1/recordings/{summary.parent.name}"
     timeline = httpx.get(live.url(f"{base}/timeline"), timeout=60).json()
     assert max(timeline["slip"]["left"][1] + timeline["slip"]["right"][1]) >= 1
     assert max(timeline["push"]["left"][1]) > 0.1

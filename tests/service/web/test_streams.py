@@ -16,7 +16,7 @@ from websockets.sync.client import connect
 from service.contract import FINGERS, Finger, TactileFrame, decode_frame, encode_frame
 from service.session.station import Station
 from service.settings import Settings
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.conftest import LiveService, bearer, served
 from tests.service.process import service_process
 
@@ -161,8 +161,7 @@ def test_a_service_that_stops_waits_for_no_viewer(
 
 
 def test_viewers_come_and_go_while_an_insertion_is_decided(live: LiveService) -> None:
-    driver = Driver(live, "watched")
-    driver.until("hello")
+    driver = greeted(live, "watched")
     links = [
         connect(live.url(f"/v1/cameras/{f}/frames?max_hz=240", "ws"), compression=None, close_timeout=0.1)
         for f in FINGERS

@@ -13,6 +13,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from tests.simulation.physics.bench import bench
+from tests.waiting import wait_for
 
 AUTH = httpx.DigestAuth("Default User", "robotics")
 
@@ -39,11 +40,8 @@ def post(client, path, action, **form):
     return client.post(path, params={"action": action, "json": "1"}, data=form)
 
 
-def until(client, path, name, value, timeout_s=30.0):
-    end = time.monotonic() + timeout_s
-    while field(client, path, name) != value:
-        assert time.monotonic() < end
-        time.sleep(0.01)
+def until(client, path, name, value):
+    wait_for(lambda: field(client, path, name) == value)
 
 
 def bring_up(rws):
