@@ -12,19 +12,14 @@ import pytest
 
 from service.cameras.capture import CameraFrame
 from service.contract import FINGERS, TactileFrame, wire
-from service.decision.models import ModelSet, load_models
+from service.decision.models import ModelSet
 from service.observability.hub import Hub
 from service.session import manager as under_test
 from service.session.insertion import Insertion
 from service.session.manager import InsertionManager
 from service.settings import Settings
 from tests.service import drawn
-from tests.service.session.test_manager import Client, wait_for_recorders
-
-
-@pytest.fixture(scope="module")
-def models(models_folder: Path) -> ModelSet:
-    return load_models(models_folder)
+from tests.service.session.driving import Client, wait_for_recorders
 
 
 class Cell:

@@ -8,9 +8,8 @@ import pytest
 from service.cameras.capture import CameraFrame
 from service.contract import FINGERS, Finger, FramePair, TactileFrame
 from service.session.station import Station
-from tests.service.session.test_station import idle, models
+from tests.service.session.test_station import works_off
 
-__all__ = ["idle", "models"]
 PIXELS = np.zeros((2, 2, 3), np.uint8)
 MS = 1_000_000
 
@@ -80,6 +79,16 @@ def test_frames_come_in_pairs_with_their_pictures_as_long_as_a_pair_may_need_the
     assert insertion.shown[-2:] == [("left", 19), ("pair", 19)]
     assert sorted(idle.manager.jpegs) == [(finger, seq) for finger in FINGERS for seq in range(4, 20)]
     assert idle.manager.jpegs["left", 19] == b"19"
+
+
+def test_frames_that_wait_while_their_insertion_ends_are_shown_to_nobody_and_are_no_error(
+    idle: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    insertion = Insertion(idle, monkeypatch)
+    comes(idle, "left", 1)
+    monkeypatch.setattr(idle.manager, "active", None)
+    works_off(idle)
+    assert (insertion.shown, len(idle._frames), idle.counters.perception_errors_n) == ([], 0, 0)
 
 
 def test_without_an_insertion_frames_are_only_shown_and_attended_if_somebody_looks(

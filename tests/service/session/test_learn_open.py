@@ -9,11 +9,11 @@ from websockets.sync.client import connect
 
 from service.contract import wire
 from service.session.state_machine import InsertionSession
-from tests.service.client import Driver
+from tests.service.client import greeted
 from tests.service.conftest import live_service
 from tests.service.decision.test_claim import PERIOD_NS
 from tests.service.session.at_rest import ID, S, arm, at_rest, is_out_of_order, shows, stops
-from tests.service.session.test_manager import wait_for_recorders
+from tests.service.session.driving import wait_for_recorders
 
 
 @pytest.fixture
@@ -104,8 +104,7 @@ def test_a_service_that_starts_anew_knows_that_the_hand_was_not_opened(
     tmp_path: Path, models_folder: Path, summary: str
 ) -> None:
     with live_service(tmp_path, models_folder) as live:
-        driver = Driver(live, "pressed")
-        driver.until("hello")
+        driver = greeted(live, "pressed")
         driver.attempt(1)
         driver.close()
     wait_for_recorders()

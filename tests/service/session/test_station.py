@@ -1,8 +1,6 @@
 """The perception thread's order of work: messages must not keep it from the clock."""
 
 import itertools
-import time
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +10,7 @@ import pytest
 
 from service.cameras.capture import CameraError, CameraFrame, Capture
 from service.contract import ContractError, TactileFrame
-from service.decision.models import ModelSet, load_models
+from service.decision.models import ModelSet
 from service.decision.work import Work
 from service.session.manager import InsertionManager
 from service.session.station import TICK_S, Station, open_station
@@ -21,18 +19,10 @@ from service.versions.versions import Versions
 from tests.service import drawn
 
 
-@pytest.fixture(scope="module")
-def models(models_folder: Path) -> ModelSet:
-    return load_models(models_folder)
-
-
-@pytest.fixture
-def idle(tmp_path: Path, models: ModelSet) -> Iterator[Station]:
-    """A station whose threads were never started: the test is its perception thread."""
-    settings = Settings(models=tmp_path, camera_left="push:", camera_right="push:", recordings=tmp_path)
-    station = Station(settings, models, None)
-    yield station
-    station._networks.shutdown()
+def works_off(station: Station) -> None:
+    """Do what is waiting, as the perception thread does."""
+    station._inbox.put(None)
+    station._run()
 
 
 def test_a_client_that_talks_all_the_time_does_not_keep_deadlines_from_being_looked_at(
@@ -48,8 +38,7 @@ def test_a_client_that_talks_all_the_time_does_not_keep_deadlines_from_being_loo
 
     for _ in range(50):
         idle.post(heartbeat)
-    idle._inbox.put(None)
-    idle._run()
+    works_off(idle)
     assert len(ticked_s) >= 15
     assert max(b - a for a, b in itertools.pairwise(ticked_s)) <= 2 * TICK_S
 
@@ -59,11 +48,9 @@ def test_a_call_that_raises_is_counted_published_and_does_not_end_the_thread(
 ) -> None:
     published, later = [], []
     monkeypatch.setattr(idle.hub, "publish", lambda kind, content: published.append((kind, content)))
-    idle._ticked_ns = time.monotonic_ns() + 10**12
     for call in (lambda: {}["lost"], lambda: later.append(1)):
         idle.post(call)
-    idle._inbox.put(None)
-    idle._run()
+    works_off(idle)
     assert published == [("error", "KeyError: 'lost'")]
     assert (idle.counters.perception_errors_n, later) == (1, [1])
 
@@ -105,36 +92,6 @@ def test_a_camera_of_another_size_is_not_live_and_is_named_with_the_size_that_is
     assert idle.cameras["left"].last_fault.startswith(fault)
     codes = [content["code"] for kind, content in published if kind == "camera_fault" and content["finger"] == "left"]
     assert codes == ["camera_size"] * 2, "once for each time that the size became wrong"
-
-
-class Driven:
-    """An insertion that wants frames or does not; ``frames`` are the frames that it was given."""
-
-    def __init__(self, *, wants_frames: bool) -> None:
-        self.wants_frames, self.frames = wants_frames, list[int]()
-        self.session = SimpleNamespace(watches_slip=False)
-
-    def frame(self, frame: CameraFrame, _pair: object) -> None:
-        self.frames.append(frame.frame.seq)
-
-
-def deliver(station: Station, *numbers: int) -> None:
-    for seq in numbers:
-        frame = TactileFrame("left", seq, seq, np.zeros((2, 2, 3), np.uint8))
-        station._on_camera_frame(CameraFrame(frame, None))
-
-
-def test_frames_that_wait_while_their_insertion_ends_go_to_no_other_and_are_no_error(
-    idle: Station, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    deliver(idle, 1)
-    monkeypatch.setattr(idle.manager, "active", Driven(wants_frames=True))
-    deliver(idle, 2)
-    monkeypatch.setattr(idle.manager, "active", None)
-    idle._inbox.put(None)
-    idle._run()
-    assert idle.counters.perception_errors_n == 0
-    assert not idle._frames
 
 
 @pytest.mark.parametrize(("asked_hz", "rate_hz"), [(None, 30.0), (90.0, 90.0)])
@@ -186,10 +143,8 @@ def test_a_cameras_fault_is_shown_and_told_to_the_insertion(idle: Station, monke
     shown, heard = [], []
     monkeypatch.setattr(idle.hub, "publish", lambda kind, content: shown.append((kind, content)))
     monkeypatch.setattr(InsertionManager, "fault", lambda _, code, detail: heard.append((code, detail)))
-    idle._ticked_ns = time.monotonic_ns() + 10**12
     idle._on_camera_fault("left", "camera_lost", "gone")
-    idle._inbox.put(None)
-    idle._run()
+    works_off(idle)
     assert shown == [("camera_fault", {"finger": "left", "code": "camera_lost", "detail": "gone"})]
     assert heard == [("camera_lost", "gone")]
 
@@ -199,12 +154,10 @@ def test_the_networks_answers_come_back_through_the_perception_thread_where_ther
 ) -> None:
     heard: list[Any] = []
     monkeypatch.setattr(InsertionManager, "result", lambda _, result: heard.append(result))
-    idle._ticked_ns = time.monotonic_ns() + 10**12
     for answer in (None, "evidence"):
         idle._do(Work(lambda answer=answer: answer))  # type: ignore[misc, arg-type]
     assert heard == []
-    idle._inbox.put(None)
-    idle._run()
+    works_off(idle)
     assert heard == ["evidence"]
 
 
