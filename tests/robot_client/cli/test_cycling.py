@@ -16,7 +16,7 @@ from robot_client.cli.main import main
 from robot_client.session.cycle import Pace
 from robot_client.session.recorder import Recorder
 from service.contract import wire
-from tests.robot_client.cycle_cell import cell_with, turned
+from tests.robot_client.cycle_cell import cell_with, run, turned
 
 SHELL = """
 import fcntl, subprocess, sys, termios, time
@@ -37,19 +37,22 @@ asyncio.run(story())
 """
 
 
+def heard(master, words, times_n=1):
+    """What a terminal prints until it has said so."""
+    printed = b""
+    while printed.count(words) < times_n:
+        printed += os.read(master, 4096)
+    return printed
+
+
 def test_in_the_background_of_a_shell_in_which_somebody_types_it_goes_on():
     master, slave = pty.openpty()
     arguments = [sys.executable, "-c", SHELL, IN_THE_BACKGROUND]
     with subprocess.Popen(arguments, stdin=slave, stdout=slave, stderr=slave, start_new_session=True) as shell:
         os.close(slave)
-        printed = b""
-        while b"goes on" not in printed:
-            printed += os.read(master, 4096)
+        heard(master, b"goes on")
         os.write(master, b"ls\n")
-        printed = b""
-        while printed.count(b"goes on") < 8:
-            printed += os.read(master, 4096)
-        assert b"Traceback" not in printed
+        assert b"Traceback" not in heard(master, b"goes on", 8)
         shell.kill()
     os.close(master)
 
@@ -73,15 +76,11 @@ def test_a_half_typed_order_does_not_keep_the_event_loop_from_guiding_the_arm():
     master, slave = pty.openpty()
     with subprocess.Popen([sys.executable, "-c", TYPED], stdin=slave, stdout=slave, stderr=slave) as client:
         os.close(slave)
-        printed = b""
-        while b"ready" not in printed:
-            printed += os.read(master, 4096)
+        heard(master, b"ready")
         os.write(master, b"pa\x04")
-        while b"expected pause, resume or stop" not in printed:
-            printed += os.read(master, 4096)
+        heard(master, b"expected pause, resume or stop")
         os.write(master, b"stop\n")
-        while b"ended" not in printed:
-            printed += os.read(master, 4096)
+        heard(master, b"ended")
         assert client.wait(60) == 0
     os.close(master)
 
@@ -117,7 +116,7 @@ def test_a_part_that_is_not_there_is_named_with_the_controllers_answer_and_a_los
             plan = make_plan(cell.settings, 0.0, 0.0, None, None)
             return await _cycle(cell.settings, cell.settings.cycle, 1, Path(tmp_path), plan)
 
-    outcome = asyncio.run(asyncio.wait_for(story(), 60.0))
+    outcome = run(story)
     lines = capsys.readouterr().out
     assert not outcome.done
     assert "on nothing; is the object between the fingers?" in outcome.result["reason"]
@@ -143,7 +142,7 @@ def test_nothing_is_let_go_of_while_nobody_confirms_that_the_arm_has_stopped(mon
             outcome = await _cycle(settings, settings.cycle, 1, None, make_plan(settings, 0.0, 0.0, None, None))
             return outcome, part.left, part.held
 
-    outcome, left, held = asyncio.run(asyncio.wait_for(story(), 60.0))
+    outcome, left, held = run(story)
     assert "STOP NOT CONFIRMED" in outcome.result["reason"]
     assert (outcome.done, outcome.result["inserted"], left, held) == (False, 0, [], True)
 
@@ -164,7 +163,7 @@ def test_a_part_is_not_put_back_into_a_fixture_that_fills_up_again():
             outcome = await _cycle(settings, taught, 1, None, make_plan(settings, 0.0, 0.0, None, None))
             return outcome, takes_afresh, part.held, cell.cabinet.arm.pose.position_mm[0]
 
-    outcome, takes_afresh, held, x_mm = asyncio.run(asyncio.wait_for(story(), 60.0))
+    outcome, takes_afresh, held, x_mm = run(story)
     assert "turned_in_hand" in outcome.result["reason"]
     assert (takes_afresh, held) == ([False], True)
     assert x_mm > 0.0, "above the gap, not at the fixture"

@@ -104,3 +104,4 @@ TO_ARMING = [
 TO_DESCENT = [*TO_ARMING, service(armed(1))]
 TO_STOP = [*TO_DESCENT, service(slip(1))]
 TO_DECISION = [*TO_STOP, at(APPROACH.at_height(28.0), Standstill)]
+TO_CLOSING = [*TO_DESCENT, at(APPROACH.at_height(10.0)), at(APPROACH.at_height(10.02), Standstill)]

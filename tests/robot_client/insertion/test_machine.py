@@ -25,6 +25,7 @@ from tests.robot_client.insertion.stories import (
     ID,
     PLAN,
     TO_ARMING,
+    TO_CLOSING,
     TO_DECISION,
     TO_DESCENT,
     TO_STOP,
@@ -79,7 +80,7 @@ def test_an_object_that_turned_on_its_way_in_is_taken_afresh_while_attempts_are_
     plan = PLAN.model_copy(update={"fixture": True, "limits": limits})
     doubt = wire.Doubt(reason="moved_in_hand", detail="the gels show it turned")
     ended = wire.Finished(insertion_id=ID, outcome="aborted", attempts=1, cause="afresh", doubts=(doubt,))
-    state, commands = run([*TO_FULL_DEPTH, service(ended)], State(plan))
+    state, commands = run([*TO_CLOSING, service(ended)], State(plan))
     assert (state.phase, state.tried_n) == (Phase.FAILED, 1)
     assert [c.message.takes_afresh for c in commands if isinstance(c, Send) and c.message.type == "hello"] == [True]
     again = state.afresh("second")
@@ -88,7 +89,7 @@ def test_an_object_that_turned_on_its_way_in_is_taken_afresh_while_attempts_are_
 
 
 def test_a_full_descent_is_an_insertion():
-    state, _ = run([*TO_DESCENT, at(APPROACH.at_height(10.0)), at(APPROACH.at_height(10.02), Standstill)])
+    state, _ = run(TO_CLOSING)
     assert state.phase is Phase.CLOSING
     state, commands = step(state, service(wire.Finished(insertion_id=ID, outcome="inserted", attempts=1)))
     assert (state.phase, commands) == (Phase.INSERTED, ())
@@ -112,9 +113,6 @@ def test_a_pose_off_the_descent_is_no_depth_that_anybody_is_told(stands):
     assert commands[-2].stop, "the controller's program ends, too"
 
 
-TO_FULL_DEPTH = [*TO_DESCENT, at(APPROACH.at_height(10.0)), at(APPROACH.at_height(10.02), Standstill)]
-
-
 @pytest.mark.parametrize(
     "event",
     [
@@ -127,7 +125,7 @@ TO_FULL_DEPTH = [*TO_DESCENT, at(APPROACH.at_height(10.0)), at(APPROACH.at_heigh
     ids=["not confirmed", "failed", "link lost", "silent", "no answer"],
 )
 def test_full_depth_alone_is_no_claim(event):
-    state, _ = run(TO_FULL_DEPTH)
+    state, _ = run(TO_CLOSING)
     assert state.phase is Phase.CLOSING
     state, commands = step(state, event)
     assert state.phase is Phase.FAILED

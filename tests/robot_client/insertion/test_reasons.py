@@ -17,6 +17,7 @@ from tests.robot_client.insertion.stories import (
     ID,
     PLAN,
     TO_ARMING,
+    TO_CLOSING,
     TO_DECISION,
     TO_DESCENT,
     TO_STOP,
@@ -31,7 +32,6 @@ from tests.robot_client.insertion.stories import (
     watching,
 )
 
-TO_CLOSING = [*TO_DESCENT, at(APPROACH.at_height(10.0)), at(APPROACH.at_height(10.02), Standstill)]
 TO_RETRACTING = [*TO_DECISION, service(correction(1))]
 STORIES = {
     Phase.GREETING: (TO_ARMING[:1], "service"),

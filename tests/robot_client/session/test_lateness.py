@@ -91,50 +91,46 @@ ENOUGH = wire.Enough(insertion_id=ID, attempt=1, frame_seq=3, captured_ns=30_000
 SLIPPED = slip(1).model_copy(update={"captured_ns": 30_000_000, "pressed_mm": 0.8})
 
 
+def watched(*events):
+    """The state in which a press ends that goes down and meets these events, and what was kept of its stop."""
+    watch, state = StopWatch(), State(PLAN.model_copy(update={"purpose": "timing"}))
+    for event in (*TO_DESCENT, *events):
+        state, _ = run([event], state)
+        watch.on_event(state, event)
+    return state, watch.stop
+
+
 @pytest.mark.parametrize("order", [ENOUGH, SLIPPED])
 def test_a_press_is_kept_with_its_speed_its_age_and_where_the_arm_stood(order):
     still = APPROACH.at_height(APPROACH.z_mm - 7.5)
-    watch, state = StopWatch(), State(PLAN.model_copy(update={"purpose": "timing"}))
     pairs = [service(watching(1, captured_s), 0.04) for captured_s in (0.0, 0.01, 0.03)]
-    for event in [*TO_DESCENT, *pairs, service(order, 0.05), at(still, Standstill)]:
-        state, _ = run([event], state)
-        watch.on_event(state, event)
-    assert watch.stop.speed_mm_s == 10.0
-    assert watch.stop.waited_s == pytest.approx(0.02, abs=1e-3)
-    assert (watch.stop.pressed_mm, watch.stop.depth_mm) == (0.8, 7.5)
-    assert watch.stop.frame_s == pytest.approx(0.015)
-    assert watch.stop.past_contact_mm(0.05) == pytest.approx(0.8 + 10.0 * 0.07, abs=0.01)
+    _, stop = watched(*pairs, service(order, 0.05), at(still, Standstill))
+    assert stop.speed_mm_s == 10.0
+    assert stop.waited_s == pytest.approx(0.02, abs=1e-3)
+    assert (stop.pressed_mm, stop.depth_mm) == (0.8, 7.5)
+    assert stop.frame_s == pytest.approx(0.015)
+    assert stop.past_contact_mm(0.05) == pytest.approx(0.8 + 10.0 * 0.07, abs=0.01)
 
 
 @pytest.mark.parametrize(("judged_s", "kept"), [((0.1, 0.2), True), ((0.1,), False)])
 def test_a_press_in_which_the_arm_stood_for_want_of_a_frame_tells_nothing(judged_s, kept):
     """Its target stood, so its travel is not its speed times the time: it would seem hardly late at all."""
-    watch, state = StopWatch(), State(PLAN.model_copy(update={"purpose": "timing"}))
     pairs = [service(watching(1, at_s), at_s) for at_s in judged_s]
     lasts_s = PLAN.lasts_s(fast=False)
     order = service(ENOUGH.model_copy(update={"captured_ns": 150_000_000}), 0.1 + lasts_s + 0.01)
-    for event in [*TO_DESCENT, *pairs, order, at(APPROACH.at_height(28.0), Standstill)]:
-        state, _ = run([event], state)
-        watch.on_event(state, event)
-    assert state.phase is Phase.DECIDING
-    assert (watch.stop is not None) == kept
+    state, stop = watched(*pairs, order, at(APPROACH.at_height(28.0), Standstill))
+    assert (state.phase, stop is not None) == (Phase.DECIDING, kept)
 
 
 def test_a_press_in_which_the_arm_stood_for_want_of_guidance_tells_nothing():
-    watch, state = StopWatch(), State(PLAN.model_copy(update={"purpose": "timing"}))
     stood = Stood(at_s=0.03, stood_s=0.1)
-    for event in [*TO_DESCENT, stood, service(ENOUGH, 0.05), at(APPROACH.at_height(28.0), Standstill)]:
-        state, _ = run([event], state)
-        watch.on_event(state, event)
-    assert (state.phase, watch.stop) == (Phase.DECIDING, None)
+    state, stop = watched(stood, service(ENOUGH, 0.05), at(APPROACH.at_height(28.0), Standstill))
+    assert (state.phase, stop) == (Phase.DECIDING, None)
 
 
 def test_a_slip_without_a_known_contact_is_no_press():
-    watch, state = StopWatch(), State(PLAN.model_copy(update={"purpose": "timing"}))
-    for event in [*TO_DESCENT, service(slip(1, pressed_mm=None), 0.05), at(APPROACH.at_height(28.0), Standstill)]:
-        state, _ = run([event], state)
-        watch.on_event(state, event)
-    assert watch.stop is None
+    _, stop = watched(service(slip(1, pressed_mm=None), 0.05), at(APPROACH.at_height(28.0), Standstill))
+    assert stop is None
 
 
 @pytest.mark.parametrize(("rate_hz", "slow", "fast"), [(60.0, 4.0, 10.0), (15.0, 3.630, 9.076), (10.0, 3.0, 6.884)])

@@ -9,12 +9,11 @@ from robot_client.__main__ import main
 from robot_client.insertion.events import Grasped, PartLost, Standstill
 from robot_client.insertion.state import Phase
 from robot_client.ports import NOT_CONFIRMED, DriverError
-from robot_client.session.travel import Errands
 from robot_client.session.trial.arm import ArmTrial
 from robot_client.session.trial.gripper import try_empty, try_part
 from tests.robot_client.insertion.stories import PLAN, TO_ARMING
 from tests.robot_client.live_cell import Part, bench, undisturbed
-from tests.robot_client.session.test_runner import Port, runner
+from tests.robot_client.session.test_runner import Port, runner, way_of
 
 SLOW = {"lease": {"stop_lag_s": 0.15}}  # a busy machine may be late
 
@@ -225,10 +224,7 @@ async def test_an_arm_whose_driver_does_not_tell_how_it_ended_may_still_move(mov
         await asyncio.sleep(60.0 if farewell else 0.0)
 
     arm.close = run.arm.close = close
-    steps = {
-        "insertion": run.run,
-        "way": lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: []),
-    }
+    steps = {"insertion": run.run, "way": way_of(arm)}
 
     async def ended():
         await steps[moving]()

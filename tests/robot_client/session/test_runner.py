@@ -67,6 +67,17 @@ def runner(notes, observers=(), **breaks):
     return Runner(PLAN, arm, gripper, service, Recorder(None, PLAN), observers)
 
 
+def let_close(run, *others):
+    """The ports come to their end when they are asked to."""
+    for port in (run.arm, run.service, run.gripper, *others):
+        port.closing.set()
+
+
+def way_of(arm, *corners):
+    """A way outside an insertion, as its command begins it."""
+    return lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: [*corners])
+
+
 def test_an_event_of_another_clock_ends_the_insertion_instead_of_its_deadlines():
     """As of a driver that stamps with time.time()."""
     notes = []
@@ -86,8 +97,7 @@ async def test_an_operator_who_presses_twice_does_not_break_off_the_stop_that_th
         task.cancel()
         await asyncio.sleep(0)
         await asyncio.sleep(0)
-    for port in (run.arm, run.service, run.gripper):
-        port.closing.set()
+    let_close(run)
     state = await task
     assert notes[-6:] == [
         f"{word} {name}" for name in ("arm", "service", "gripper") for word in ("stopping", "stopped")
@@ -110,8 +120,7 @@ def test_an_arm_whose_stop_nobody_confirms_is_never_passed_over(ready, farewell)
         await asyncio.sleep(0.05)
         if ready:
             task.cancel()
-        for port in (run.arm, run.service, run.gripper):
-            port.closing.set()
+        let_close(run)
         with pytest.raises(DriverError, match=r"STOP NOT CONFIRMED.*: use the stop button") as raised:
             await task
         assert ("not homed" in str(raised.value)) != ready
@@ -125,16 +134,12 @@ async def test_an_interrupt_while_a_step_closes_by_itself_keeps_the_next_step_fr
     run = runner(notes, service="gone")  # the insertion ends by itself
     arm = Port("arm", notes)
     arm.start = lambda _post: asyncio.sleep(0, PLAN.approach)
-    steps = {
-        "insertion": run.run,
-        "way": lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: []),
-    }
+    steps = {"insertion": run.run, "way": way_of(arm)}
     task = asyncio.ensure_future(steps[moving]())
     await asyncio.sleep(0.05)
     assert notes[-1] == "stopping arm"
     task.cancel()
-    for port in (run.arm, run.service, run.gripper, arm):
-        port.closing.set()
+    let_close(run, arm)
     with pytest.raises(asyncio.CancelledError):
         await task
     assert "stopped arm" in notes
@@ -146,8 +151,7 @@ async def test_an_interrupt_in_the_moment_in_which_a_step_ends_is_not_lost(movin
     notes, moves = [], []
     run = runner(notes)
     arm = Port("arm", notes)
-    for port in (run.arm, run.service, run.gripper, arm):
-        port.closing.set()
+    let_close(run, arm)
     task = None
 
     def together(what):
@@ -164,11 +168,8 @@ async def test_an_interrupt_in_the_moment_in_which_a_step_ends_is_not_lost(movin
         asyncio.get_running_loop().call_later(0.02, together, lambda: arm.post(arrived))
 
     arm.start, arm.move = start, move
-    corners = [(PLAN.approach, "travel"), (PLAN.approach.at_height(50.0), "travel")]
-    steps = {
-        "insertion": run.run,
-        "way": lambda: Errands(lambda: arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: corners),
-    }
+    corners = (PLAN.approach, "travel"), (PLAN.approach.at_height(50.0), "travel")
+    steps = {"insertion": run.run, "way": way_of(arm, *corners)}
     task = asyncio.ensure_future(steps[moving]())
     ended = Failure(at_s=0.0, source="service", code="link", detail="gone")
     if moving == "insertion":
@@ -183,8 +184,7 @@ async def test_an_interrupt_in_the_moment_in_which_a_step_ends_is_not_lost(movin
 async def test_an_interrupt_in_the_moment_in_which_the_arm_is_ready_moves_nothing(moving):
     notes, moves, task = [], [], None
     run = runner(notes)
-    for port in (run.arm, run.service, run.gripper):
-        port.closing.set()
+    let_close(run)
 
     async def start(_post):
         ready = asyncio.Event()
@@ -198,11 +198,7 @@ async def test_an_interrupt_in_the_moment_in_which_the_arm_is_ready_moves_nothin
         return PLAN.approach
 
     run.arm.start, run.arm.move = start, lambda *way: moves.append(way)
-    corners = [(PLAN.approach, "travel")]
-    steps = {
-        "insertion": run.run,
-        "way": lambda: Errands(lambda: run.arm, None, PLAN.limits, PLAN.ramps, 1.0, 35.0).go(lambda _here: corners),
-    }
+    steps = {"insertion": run.run, "way": way_of(run.arm, (PLAN.approach, "travel"))}
     task = asyncio.ensure_future(steps[moving]())
     (ended,) = await asyncio.wait_for(asyncio.gather(task, return_exceptions=True), 2.0)
     assert isinstance(ended, DriverError) or ended.reason.startswith("operator")
@@ -212,8 +208,7 @@ async def test_an_interrupt_in_the_moment_in_which_the_arm_is_ready_moves_nothin
 async def test_no_program_is_started_once_a_device_has_failed():
     notes = []
     run = runner(notes, service="gone")
-    for port in (run.arm, run.service, run.gripper):
-        port.closing.set()
+    let_close(run)
     state = await run.run()
     assert state.phase is Phase.FAILED
     assert "start arm" not in notes
