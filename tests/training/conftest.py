@@ -6,6 +6,10 @@ from training.fit import usual
 from training.fit.train import train
 from training.networks.settings import NetworkConfig
 
+FRAMES = NetworkConfig(front_width=8, trunk_width=8, feature_size=16, state_size=16)
+MARKERS = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
+PRESSING = NetworkConfig(kind="pressing", trunk_width=8, feature_size=16, state_size=16, affine_fit=True)
+
 
 @pytest.fixture(scope="session")
 def source():
@@ -50,7 +54,7 @@ def tiny(folder, cache):
             rendered_validation=3,
             rendered_test=2,
         ),
-        network=NetworkConfig(front_width=8, trunk_width=8, feature_size=16, state_size=16),
+        network=FRAMES,
         front=stage,
         trunk=stage,
         tune=stage,

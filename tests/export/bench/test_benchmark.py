@@ -9,7 +9,7 @@ import pytest
 from export.bench.benchmark import benchmark
 from export.bench.fresh import measure_fresh
 from export.bench.measure import quartiles, time_in_turn, undisturbed
-from export.bench.paper import RELEASED_SHARE, exported
+from export.bench.paper import exported
 from export.bench.report import benchmark_page
 from service.contract import ContractError
 
@@ -84,18 +84,15 @@ def test_measuring_leaves_cores_and_collector_as_they_were():
 
 def test_the_page_says_which_speed_claim_holds(report):
     row = {"folder": "models", "cpu_p50_ms": 12.0}
-    rows = [row | {"ratio": (0.005, 0.004, 0.006)}, row | {"ratio": (0.05, 0.04, 0.06)}]
+    rows = [row | {"ratio": (share, 0.004, 0.008)} for share in (0.0066, 0.0067)]
     text = benchmark_page(report | {"alexnet": {"trained": False, "passes_cpu_ms": 300.0, "rows": rows}})
     assert "of random weights (speed only)" in " ".join(text.split())
-    assert "| 1/200 (1/167 .. 1/250) | holds |" in text
-    assert "| 1/20 (1/17 .. 1/25) | does not hold |" in text
+    assert "| 1/152 (1/125 .. 1/250) | holds |" in text
+    assert "| 1/149 (1/125 .. 1/250) | does not hold |" in text
+    assert "The bound is 1/150." in " ".join(text.split())
 
 
 def test_half_an_export_of_the_paper_s_networks_is_named(tmp_path):
     (tmp_path / "direction.sequence.onnx").touch()
     with pytest.raises(ContractError, match=r"magnitude\.sequence\.onnx is missing; export the checkpoint again"):
         exported(tmp_path)
-
-
-def test_the_claim_is_that_of_the_design():
-    assert 1 / RELEASED_SHARE == 150.0

@@ -58,6 +58,13 @@ def test_released_models_verify(models):
     assert sum("self-test passed" in line for line in lines) == 3
 
 
+def copy_with(card, file, place):
+    """A model under another card, which need not be true."""
+    model = onnx.load(str(file))
+    onnx.helper.set_model_props(model, card.to_props())
+    onnx.save(model, str(place))
+
+
 def of_another_role(card):
     return card.model_copy(update={"role": "magnitude", "has_sigma": True})
 
@@ -77,9 +84,7 @@ def test_what_the_service_refuses_does_not_verify(models, tmp_path, edit, named)
     for role in ("direction", "magnitude"):
         shutil.copy(models / f"{role}.step.onnx", tmp_path)
     file = tmp_path / "direction.step.onnx"
-    model = onnx.load(str(file))
-    onnx.helper.set_model_props(model, edit(open_model(file).card).to_props())
-    onnx.save(model, str(file))
+    copy_with(edit(open_model(file).card), file, file)
     with pytest.raises(ContractError):
         load_models(tmp_path)
     with pytest.raises(ContractError, match=named):
@@ -125,11 +130,9 @@ def test_the_graphs_weigh_little(models):
 
 
 def test_a_card_that_promises_other_inputs_is_refused(models, tmp_path):
-    card = open_model(models / "direction.step.onnx").card
-    model = onnx.load(str(models / "direction.step.onnx"))
-    del model.metadata_props[:]
-    onnx.helper.set_model_props(model, card.model_copy(update={"gap_width_input": False}).to_props())
-    onnx.save(model, str(tmp_path / "liar.onnx"))
+    path = models / "direction.step.onnx"
+    card = open_model(path).card.model_copy(update={"gap_width_input": False})
+    copy_with(card, path, tmp_path / "liar.onnx")
     with pytest.raises(ContractError, match="its card promises"):
         verify(tmp_path)
 
@@ -217,10 +220,7 @@ def test_a_network_that_computes_otherwise_than_where_it_was_released_is_refused
     path = models / "magnitude.step.onnx"
     card = open_model(path).card
     test = card.self_test.model_copy(update={"outputs": {"error": (9.0, 9.0), "log_sigma": (0.0, 0.0)}})
-    model = onnx.load(str(path))
-    del model.metadata_props[:]
-    onnx.helper.set_model_props(model, card.model_copy(update={"self_test": test}).to_props())
-    onnx.save(model, str(tmp_path / "magnitude.step.onnx"))
+    copy_with(card.model_copy(update={"self_test": test}), path, tmp_path / path.name)
     with pytest.raises(ContractError, match="self-test output error is off by"):
         verify(tmp_path)
     with pytest.raises(ContractError, match="computes otherwise than the one it was released on"):

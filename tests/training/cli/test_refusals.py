@@ -14,6 +14,7 @@ from reporting.files import locked
 from service.contract import ContractError, Sensor
 from simulation.data.manifest import MANIFEST, ShardEntry
 from tests.simulation.strategies import made_up_dataset, made_up_trial
+from tests.training.conftest import MARKERS
 from tests.training.data.test_episodes import recorded
 from training.cli.commands import COMMANDS, main
 from training.data.labels import CLASSES
@@ -21,7 +22,6 @@ from training.fit.checkpoint import Checkpoint
 from training.fit.train import train
 from training.metrics.figures import Scales
 from training.networks import build
-from training.networks.settings import NetworkConfig
 
 SHARD = "rectangle-00001.parquet"
 CONFIG = """name = "mine"
@@ -126,9 +126,8 @@ def test_a_folder_that_cannot_be_written_is_one_line(probes, run_file, tmp_path,
     taken, sound = tmp_path / "taken", tmp_path / "sound.pt"
     taken.write_text("a file")
     run_file.write_text(CONFIG.format(runs=taken, data=probes, cache=tmp_path / "cache"))
-    size = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
-    weights = build(size, len(CLASSES), Sensor.load()).state_dict()
-    Checkpoint("sound", size, weights, Scales(), Scales(), {}, "0" * 64, "none").save(sound)
+    weights = build(MARKERS, len(CLASSES), Sensor.load()).state_dict()
+    Checkpoint("sound", MARKERS, weights, Scales(), Scales(), {}, "0" * 64, "none").save(sound)
     words = ("train", run_file) if run is main else ("onnx", sound, "--out", taken, "--force")
     line = refusal(monkeypatch, capsys, run, *words)
     assert str(taken) in line
@@ -138,10 +137,9 @@ def test_a_folder_that_cannot_be_written_is_one_line(probes, run_file, tmp_path,
 @pytest.fixture
 def foreign(tmp_path):
     """A checkpoint whose weights do not have the stated size."""
-    stated = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
-    weights = build(stated.model_copy(update={"state_size": 24}), len(CLASSES), Sensor.load())
+    weights = build(MARKERS.model_copy(update={"state_size": 24}), len(CLASSES), Sensor.load())
     path = tmp_path / "foreign.pt"
-    Checkpoint("foreign", stated, weights.state_dict(), Scales(), Scales(), {}, "0" * 64, "none").save(path)
+    Checkpoint("foreign", MARKERS, weights.state_dict(), Scales(), Scales(), {}, "0" * 64, "none").save(path)
     return path
 
 

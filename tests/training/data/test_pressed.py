@@ -14,6 +14,7 @@ from simulation.cli.dataset import export_dataset
 from simulation.data import drawn_cells
 from simulation.scene.rubber import shear_reach_pitches
 from tests.simulation.strategies import made_up_dataset, made_up_trial
+from tests.training.conftest import PRESSING, tiny
 from tests.training.synthetic import SyntheticSource
 from training.data import descents
 from training.data.descents import Reader
@@ -23,9 +24,6 @@ from training.data.reading import decisions
 from training.fit.train import train
 from training.networks import build
 from training.networks.pressing import DECISION_STEPS, LATTICE, STEPS
-from training.networks.settings import NetworkConfig
-
-SMALL = NetworkConfig(kind="pressing", trunk_width=8, feature_size=16, state_size=16, affine_fit=True)
 
 
 def down(count):
@@ -65,7 +63,7 @@ def test_presses_of_one_error_alone_are_refused_before_the_training(config, axis
         setattr(trial, axis, 3.0)
     data = config.data.model_copy(update={"cache": config.data.cache + named})
     with pytest.raises(ContractError, match=f"all training errors in {named} are the same"):
-        train(config.model_copy(update={"network": SMALL, "data": data}), source)
+        train(config.model_copy(update={"network": PRESSING, "data": data}), source)
     assert not (config.folder / "config.json").exists()
 
 
@@ -144,9 +142,15 @@ def test_a_batch_is_told_less_in_training_and_all_it_was_told_otherwise(pressed_
     assert np.array_equal(still.geometry.numpy(), samples.conditions[chosen])
 
 
-def test_a_run_states_how_it_reads_and_what_it_was_trained_on(pressed_source, config):
-    run = config.model_copy(update={"network": SMALL})
-    checkpoint = train(run, pressed_source)
+@pytest.fixture(scope="module")
+def run(pressed_source, cache, tmp_path_factory):
+    """A tiny run on these trials that is done: its config and its checkpoint."""
+    config = tiny(tmp_path_factory.mktemp("pressed"), cache).model_copy(update={"network": PRESSING})
+    return config, train(config, pressed_source)
+
+
+def test_a_run_states_how_it_reads_and_what_it_was_trained_on(run):
+    _, checkpoint = run
     assert checkpoint.pressing is not None
     assert checkpoint.pressing.steps_n == DECISION_STEPS
     assert checkpoint.pressing.strangeness_limit > 0
@@ -155,12 +159,11 @@ def test_a_run_states_how_it_reads_and_what_it_was_trained_on(pressed_source, co
     assert checkpoint.figures["validation/all"]["trials"] > 0
 
 
-def test_training_moves_every_weight_but_those_that_are_fixed(pressed_source, config):
-    run = config.model_copy(update={"network": SMALL})
-    weights = train(run, pressed_source).weights
-    torch.manual_seed(run.seed)
-    begun = build(SMALL, len(CLASSES), pressed_source.manifest.sensor)
-    kept = [name for name, value in begun.named_parameters() if torch.equal(value, weights[name])]
+def test_training_moves_every_weight_but_those_that_are_fixed(pressed_source, run):
+    config, checkpoint = run
+    torch.manual_seed(config.seed)
+    begun = build(PRESSING, len(CLASSES), pressed_source.manifest.sensor)
+    kept = [name for name, value in begun.named_parameters() if torch.equal(value, checkpoint.weights[name])]
     assert kept == ["shares.weight", "shares.bias"]
     assert not any(begun.get_parameter(name).requires_grad for name in kept)
 
@@ -183,7 +186,7 @@ def test_a_network_is_trained_on_a_lerobot_export_as_on_the_shards_it_is_of(tmp_
     runs = {
         name: config.model_copy(
             update={
-                "network": SMALL,
+                "network": PRESSING,
                 "runs": str(tmp_path / name / "runs"),
                 "data": config.data.model_copy(update={"path": str(tmp_path / name)}),
             }

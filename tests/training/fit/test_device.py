@@ -4,14 +4,13 @@ import pytest
 import torch
 
 from service.contract import ContractError
+from tests.training.conftest import PRESSING
 from tests.training.data.test_pressed import down
 from tests.training.networks.test_alexnet import tiny_recipe
 from tests.training.synthetic import SyntheticSource
 from training.fit.recipe import train_recipe
 from training.fit.train import Trainer, train
-from training.networks.settings import NetworkConfig
 
-PRESSING = NetworkConfig(kind="pressing", trunk_width=8, feature_size=16, state_size=16, affine_fit=True)
 GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 
 

@@ -7,12 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.contract import Sensor
+from tests.training.conftest import MARKERS
 from training.data.labels import CLASSES
 from training.networks import build
 from training.networks.alexnet import LSTM, AlexNetLstm
 from training.networks.decider import STATE_REACH
 from training.networks.forms import StepForm, within_reach
-from training.networks.settings import NetworkConfig
 
 END = float(np.float32(STATE_REACH))
 reached = st.floats(-END, END, width=32)
@@ -39,7 +39,7 @@ def test_a_state_that_is_no_number_stays_none(value):
 
 def test_no_gated_cell_of_ours_leaves_its_reach():
     torch.manual_seed(0)
-    network = build(NetworkConfig(kind="markers", feature_size=16, state_size=16), len(CLASSES), Sensor.load()).eval()
+    network = build(MARKERS, len(CLASSES), Sensor.load()).eval()
     state = torch.empty(64, 16).uniform_(-1.0, 1.0)
     state[:2] = torch.tensor([[1.0], [-1.0]])
     geometry = torch.tensor([[56.0, 30.0]]).expand(64, 2)
@@ -62,8 +62,7 @@ def test_no_hidden_unit_of_the_papers_cell_leaves_its_reach():
 
 def test_a_step_from_a_state_no_cell_can_reach_equals_one_from_the_end_of_its_reach():
     torch.manual_seed(0)
-    kind = NetworkConfig(kind="markers", trunk_width=8, feature_size=16, state_size=16)
-    step = StepForm(build(kind, len(CLASSES), Sensor.load()).eval(), "joint")
+    step = StepForm(build(MARKERS, len(CLASSES), Sensor.load()).eval(), "joint")
     frame, reference = torch.rand(2, 1, 2, 20, 21, 3)
     gap, height, signs = torch.full((1, 1), 56.0), torch.full((1, 1), 30.0), torch.randn(1, 16).sign()
     far, near = (step(frame, reference, signs * reach, gap, height) for reach in (1e4, STATE_REACH))

@@ -3,20 +3,18 @@
 import numpy as np
 import torch
 
+from tests.training.conftest import PRESSING
 from tests.training.data.test_pressed import down
 from training.data.pressed import load_pressed
 from training.fit.train import Trainer
 from training.metrics.figures import Scales
 from training.networks import build
-from training.networks.settings import NetworkConfig
 from training.report.cameras import RATES_FPS, SPEEDS_MM_S, by_camera
-
-NETWORK = NetworkConfig(kind="pressing", trunk_width=8, feature_size=16, state_size=16, affine_fit=True)
 
 
 def rows_of(source, config, tmp_path):
     trials = load_pressed(config.data.model_copy(update={"cache": str(tmp_path)}), source)
-    trainer = Trainer(config, trials, build(NETWORK, 9, trials.sensor), torch.ones(9), torch.zeros(2, 3))
+    trainer = Trainer(config, trials, build(PRESSING, 9, trials.sensor), torch.ones(9), torch.zeros(2, 3))
     return {row["read"]: row for row in by_camera(trainer, Scales(), source)}
 
 
