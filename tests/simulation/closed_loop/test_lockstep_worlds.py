@@ -13,12 +13,11 @@ from simulation.closed_loop.play import models_of, stage
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.unstated import Unstated
 from simulation.scene.worlds import load_scene
-
-CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
+from tests.simulation.scenes import UPRIGHT
 
 
 def cell(x_mm: float = 8.0, theta_deg: float = 5.0, unstated: dict[str, object] | None = None, **changes: object):
-    scene = load_scene("rectangle", **CLEAN, **changes)
+    scene = load_scene("rectangle", **UPRIGHT, **changes)
     return LockstepCell.build(scene, x_mm, theta_deg, 1, unstated=Unstated(**(unstated or {})), draws=False)
 
 

@@ -12,14 +12,14 @@ from simulation.foreign.elements import Pad
 from simulation.foreign.pads import OPEN, SLIP, STICK
 from simulation.scene.state import PhysicsError
 from simulation.scene.worlds import load_scene
+from tests.simulation.scenes import UPRIGHT
 
 COARSE = Pad(22.05, 21.0, 2.5, 0.48, columns=4, rows=4, layers=1)
-STILL = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 
 
 def held(name="rectangle", x_mm=8.0, theta_deg=0.0, *, pad=COARSE, **changes):
     """A cell with an object in the hand."""
-    cell = ForeignCell(load_scene(name, **(STILL | changes)), 0, pad)
+    cell = ForeignCell(load_scene(name, **(UPRIGHT | changes)), 0, pad)
     cell.regrasp(x_mm, theta_deg)
     return cell
 

@@ -5,6 +5,7 @@ import pytest
 
 from simulation.data.probe import CellState, QuasiStaticCell
 from simulation.scene.worlds import load_scene
+from tests.simulation.scenes import UPRIGHT
 
 WIDTH_MM, HEIGHT_MM, WEIGHT_N = 20.0, 100.0, 0.6 * 9.81
 DEEP_MM = 7.0
@@ -21,8 +22,7 @@ def push(table_friction: float) -> CellState:
         blocks__mass_kg=0.6,
         blocks__friction=0.0,
         blocks__table_friction=table_friction,
-        grasp__pre_tilt_spread_deg=0.0,
-        grasp__pre_yaw_spread_deg=0.0,
+        **UPRIGHT,
     )
     cell = QuasiStaticCell(scene)
     cell.regrasp(0.0, 0.0)

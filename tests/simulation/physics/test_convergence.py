@@ -5,14 +5,14 @@ import pytest
 
 from simulation.data.probe import CellState, QuasiStaticCell
 from simulation.scene.worlds import load_scene, object_names
+from tests.simulation.scenes import UPRIGHT
 
-CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 TIERS = ("bristle", "layer")
 
 
 def pressed(name: str, tier: str = "bristle", **changes: object) -> tuple[QuasiStaticCell, CellState]:
     """A poke 1.2 mm past touchdown: partly slipping, on one block."""
-    cell = QuasiStaticCell(load_scene(name, gel__tier=tier, **CLEAN, **changes))
+    cell = QuasiStaticCell(load_scene(name, gel__tier=tier, **UPRIGHT, **changes))
     cell.regrasp(8.0, 5.0)
     return cell, cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 6.2, 5.0)
 
@@ -37,7 +37,9 @@ def test_where_no_bristle_slips_the_load_step_changes_nothing() -> None:
     """The tips keep to the object's material, so that the way there is forgotten; the edge slides straight."""
 
     def stuck(step_mm: float) -> CellState:
-        cell = QuasiStaticCell(load_scene("rectangle", numerics__load_step_mm=step_mm, effects__gravity="off", **CLEAN))
+        cell = QuasiStaticCell(
+            load_scene("rectangle", numerics__load_step_mm=step_mm, effects__gravity="off", **UPRIGHT)
+        )
         cell.regrasp(8.0, 0.0)
         return cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 6.0, 0.0)
 
@@ -105,7 +107,7 @@ def test_friction_never_gives_work_back(name: str) -> None:
 
 def cycle_work(step_mm: float, **changes: object) -> float:
     """Work of the hand over a poke down and up again, N mm (trapezoid rule)."""
-    cell = QuasiStaticCell(load_scene("rectangle", effects__gravity="off", **CLEAN, **changes))
+    cell = QuasiStaticCell(load_scene("rectangle", effects__gravity="off", **UPRIGHT, **changes))
     cell.regrasp(9.0, 0.0)
     x, _, z, _ = cell.pose
     depths = 4.99 + np.concatenate([np.arange(0.0, 1.2, step_mm), np.arange(1.2, -0.01, -step_mm)])

@@ -7,8 +7,7 @@ from simulation.data.probe import QuasiStaticCell
 from simulation.scene.shapes import half_width_mm
 from simulation.scene.worlds import load_scene
 from tests.simulation.physics.theory import INSERTS, inserting, theory_page
-
-CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
+from tests.simulation.scenes import UPRIGHT
 
 
 @pytest.mark.parametrize(
@@ -47,7 +46,7 @@ def test_the_page_beside_theory_is_written() -> None:
 
 @pytest.mark.parametrize("x", [4.0, 10.0, -7.0])
 def test_the_lever_arm_is_half_the_gap_less_the_offset(x: float) -> None:
-    scene = load_scene("rectangle", blocks__friction=0.0, effects__gravity="off", **CLEAN)
+    scene = load_scene("rectangle", blocks__friction=0.0, effects__gravity="off", **UPRIGHT)
     cell = QuasiStaticCell(scene)
     cell.regrasp(x, 0.0)
     state = cell.move_to(x, 0.0, 30.0 - 0.3, 0.0)
@@ -61,7 +60,7 @@ def test_the_lever_arm_is_half_the_gap_less_the_offset(x: float) -> None:
 def test_a_descent_inserts_exactly_when_geometry_says_so() -> None:
     rng = np.random.default_rng(5)
     for name in ("circle", "rectangle", "ellipse", "hexagon"):
-        scene = load_scene(name, **CLEAN)
+        scene = load_scene(name, **UPRIGHT)
         cell = QuasiStaticCell(scene)
         for _ in range(6):
             x, theta = rng.uniform(-4, 4), rng.uniform(-5, 5)

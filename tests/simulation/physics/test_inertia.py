@@ -6,8 +6,7 @@ import pytest
 from simulation.data.probe import QuasiStaticCell, run_probe
 from simulation.scene.effects import active_effects, inertia_share
 from simulation.scene.worlds import load_scene, object_names
-
-CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
+from tests.simulation.scenes import UPRIGHT
 
 
 def test_an_object_that_is_stopped_swings_as_a_mass_on_the_gels_springs() -> None:
@@ -21,7 +20,7 @@ def test_an_object_that_is_stopped_swings_as_a_mass_on_the_gels_springs() -> Non
         object__centre_of_mass_height_mm=30.0,
         gel__friction=2.0,
         numerics__load_step_mm=0.01,
-        **CLEAN,
+        **UPRIGHT,
     )
     cell = QuasiStaticCell(scene)
     cell.regrasp(0.0, 0.0)
@@ -52,7 +51,7 @@ def test_speed_and_mass_call_for_inertia() -> None:
 
 
 def test_a_fast_heavy_object_still_moves_after_the_arm_has_stopped() -> None:
-    heavy = {"object__mass_kg": 1.0, "speed_mm_s": 80.0, "camera__fps": 90, **CLEAN}
+    heavy = {"object__mass_kg": 1.0, "speed_mm_s": 80.0, "camera__fps": 90, **UPRIGHT}
     fast, calm = (
         run_probe(load_scene("rectangle", effects__inertia=switch, **heavy), 9.0, 0.0) for switch in ("on", "off")
     )
@@ -71,7 +70,7 @@ def test_an_object_that_is_lowered_steadily_in_creeping_gels_weighs_what_it_weig
         object__mass_kg=0.4,
         gel__relaxation_share=0.3,
         gel__relaxation_s=0.6,
-        **CLEAN,
+        **UPRIGHT,
     )
     cell = QuasiStaticCell(scene)
     cell.regrasp(0.0, 0.0)

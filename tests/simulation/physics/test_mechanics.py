@@ -12,8 +12,7 @@ from simulation.data.probe import QuasiStaticCell, run_probe
 from simulation.scene.state import PhysicsError
 from simulation.scene.worlds import load_scene
 from simulation.studies.hard_probes import ImpossibleStateError, Tally, _check, run
-
-CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
+from tests.simulation.scenes import UPRIGHT
 
 
 @pytest.mark.slow
@@ -59,7 +58,7 @@ def test_what_the_grip_cannot_carry_is_lost_at_once() -> None:
 def test_the_convex_and_the_coupled_solver_find_one_equilibrium(name: str) -> None:
     ends = []
     for direct in (True, False):
-        cell = QuasiStaticCell(load_scene(name, **CLEAN))
+        cell = QuasiStaticCell(load_scene(name, **UPRIGHT))
         cell.direct = direct
         cell.regrasp(8.0, 5.0)
         ends.append(cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 6.2, 5.0))
@@ -68,7 +67,7 @@ def test_the_convex_and_the_coupled_solver_find_one_equilibrium(name: str) -> No
 
 
 def test_drift_in_the_hand_is_remembered_after_the_load_is_gone() -> None:
-    cell = QuasiStaticCell(load_scene("rectangle", **CLEAN))
+    cell = QuasiStaticCell(load_scene("rectangle", **UPRIGHT))
     cell.regrasp(9.0, 0.0)
     x, y, z, yaw = cell.pose
     cell.move_to(x, y, z - 7.5, float(np.degrees(yaw)))
@@ -84,8 +83,8 @@ def test_without_friction_a_load_pushes_the_object_out_of_the_hand_or_up() -> No
 
 
 def test_free_blocks_move_only_when_pushed_hard_enough() -> None:
-    light = QuasiStaticCell(load_scene("circle", blocks__free=True, blocks__table_friction=0.02, **CLEAN))
-    heavy = QuasiStaticCell(load_scene("circle", blocks__free=True, blocks__mass_kg=20.0, **CLEAN))
+    light = QuasiStaticCell(load_scene("circle", blocks__free=True, blocks__table_friction=0.02, **UPRIGHT))
+    heavy = QuasiStaticCell(load_scene("circle", blocks__free=True, blocks__mass_kg=20.0, **UPRIGHT))
     for cell, moved in ((light, True), (heavy, False)):
         cell.regrasp(6.0, 0.0)
         cell.move_to(6.0, 0.0, cell.pose[2] - 7.0, 0.0)
@@ -93,7 +92,7 @@ def test_free_blocks_move_only_when_pushed_hard_enough() -> None:
 
 
 def test_a_cell_probed_again_starts_with_its_blocks_in_place() -> None:
-    scene = load_scene("circle", blocks__free=True, blocks__table_friction=0.02, blocks__mass_kg=0.2, **CLEAN)
+    scene = load_scene("circle", blocks__free=True, blocks__table_friction=0.02, blocks__mass_kg=0.2, **UPRIGHT)
     cell = QuasiStaticCell(scene)
     first = run_probe(cell, 7.0, 0.0)
     assert np.abs(first.block_motion[:, 0]).max() > 0.05
@@ -104,7 +103,7 @@ def test_a_cell_probed_again_starts_with_its_blocks_in_place() -> None:
 
 @pytest.mark.parametrize("tier", ["bristle", "layer"])
 def test_a_probe_says_of_every_marker_whether_it_slips(tier: str) -> None:
-    played = run_probe(load_scene("rectangle", gel__tier=tier, **CLEAN), 9.0, 0.0)
+    played = run_probe(load_scene("rectangle", gel__tier=tier, **UPRIGHT), 9.0, 0.0)
     share = played.slipping.mean(axis=(2, 3))
     assert played.slipping.shape == played.gel.shape[:-1]
     assert not played.slipping[: played.onset_frame].any()

@@ -12,9 +12,9 @@ from simulation.physics.elastic_layer import Grid, Kernel, bonded_layer
 from simulation.physics.layer_pads import Relaxation
 from simulation.physics.shape_factor import modulus_profile
 from simulation.scene.worlds import load_scene
+from tests.simulation.scenes import UPRIGHT
 
 SIDE_MM, CELLS = 20.0, 16
-CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 
 
 def block(shape_factor: float, poisson: float) -> tuple[Kernel, float]:
@@ -97,7 +97,7 @@ def test_a_held_displacement_follows_pronys_step_response_exactly(share: float) 
 @pytest.mark.parametrize("tier", ["bristle", "layer"])
 def test_the_push_of_a_hand_that_waits_relaxes_as_the_rubber_does(tier: str) -> None:
     soft = {"gel__relaxation_share": 0.3, "gel__relaxation_s": 0.4, "gel__friction": 2.0, "effects__gravity": "off"}
-    scene = load_scene("rectangle", gel__tier=tier, speed_mm_s=200.0, **soft, **CLEAN)
+    scene = load_scene("rectangle", gel__tier=tier, speed_mm_s=200.0, **soft, **UPRIGHT)
     cell = QuasiStaticCell(scene)
     cell.regrasp(0.0, 12.0)
     x, y, z, yaw = (float(value) for value in cell.pose)
@@ -112,7 +112,7 @@ def test_fingers_give_by_the_force_on_their_pads_and_the_markers_ride_along(tier
     played = {}
     for stiffness in (0.0, 20.0, 1e5):
         bend = {"grasp__finger_stiffness_n_per_mm": stiffness, "effects__finger_compliance": "on"}
-        cell = QuasiStaticCell(load_scene("rectangle", gel__tier=tier, gel__friction=2.0, **bend, **CLEAN))
+        cell = QuasiStaticCell(load_scene("rectangle", gel__tier=tier, gel__friction=2.0, **bend, **UPRIGHT))
         cell.regrasp(8.0, 0.0)
         played[stiffness] = cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 5.6, 0.0), cell
     bent, cell = played[20.0]

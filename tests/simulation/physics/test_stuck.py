@@ -8,9 +8,9 @@ from simulation.physics.kernels import load_step
 from simulation.physics.layer_pads import LayerPads
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.worlds import load_scene
+from tests.simulation.scenes import UPRIGHT
 
 ROUGH = {"blocks__friction": 0.37, "grasp__height_mm": 82.0}
-UPRIGHT = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 
 
 def descend(cell: QuasiStaticCell, depth_mm: float) -> tuple[float, float]:

@@ -5,13 +5,13 @@ import pytest
 
 from simulation.data.probe import Probe, run_probe
 from simulation.scene.worlds import load_scene
+from tests.simulation.scenes import UPRIGHT
 
-CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 CASES = [("rectangle", 7.0, 6.0), ("hexagon", 5.0, -8.0), ("circle", 9.0, 0.0)]
 
 
 def probe(name: str, x: float, theta: float) -> Probe:
-    return run_probe(load_scene(name, **CLEAN), x, theta, seed=3)
+    return run_probe(load_scene(name, **UPRIGHT), x, theta, seed=3)
 
 
 @pytest.mark.parametrize(("name", "x", "theta"), CASES)

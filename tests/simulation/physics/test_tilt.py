@@ -8,8 +8,8 @@ import pytest
 from simulation.foreign.cell import ForeignCell
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.worlds import load_scene
+from tests.simulation.scenes import UPRIGHT
 
-UPRIGHT = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 CELLS = [(QuasiStaticCell, "bristle"), (QuasiStaticCell, "layer"), (ForeignCell, "bristle")]
 
 

@@ -21,19 +21,19 @@ from simulation.physics.kernels import bristles
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.worlds import load_scene
 from tests.simulation.physics import half_space as kernels
+from tests.simulation.scenes import UPRIGHT
 
 Floats = NDArray[np.float64]
 WIDTH_MM, CROWN_MM, FRICTION = 21.0, 0.5, 0.8
 CURVATURE_MM = (0.5 * WIDTH_MM) ** 2 / CROWN_MM
 FORCE_N, LOAD_N = 20.0, 0.5 * 9.81  # a pad's
-STRAIGHT = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 HANGING = {
     "object__mass_kg": 1.0,
     "object__centre_of_mass_height_mm": 30.0,
     "effects__gravity": "on",
     "gel__crown_mm": CROWN_MM,
     "gel__friction": FRICTION,
-    **STRAIGHT,
+    **UPRIGHT,
 }
 INSERTS = {"circle": 0.167, "rectangle": 0.020, "ellipse": 0.107, "hexagon": 0.186}  # the paper's task, computed
 

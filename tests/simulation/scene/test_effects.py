@@ -22,8 +22,8 @@ from simulation.optics.renderer import Renderer
 from simulation.scene.effects import EFFECTS, active_effects, decide, dropped_share
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import load_scene
+from tests.simulation.scenes import UPRIGHT
 
-CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 NOISE_MM = 0.005  # markers are tracked to some 0.05 px
 NOISE_GREY = 1.4  # RMS: what a camera noise of 2 grey levels leaves in a rectified frame
 
@@ -44,7 +44,7 @@ def marker_difference(one: Scene, other: Scene) -> float:
 
 def image_difference(one: Scene, other: Scene) -> float:
     """RMS difference in grey levels of a frame in which the gel moves as fast as the arm."""
-    state = poke(load_scene("rectangle", **CLEAN)).gel[-1, 0].astype(np.float32)
+    state = poke(load_scene("rectangle", **UPRIGHT)).gel[-1, 0].astype(np.float32)
     fall = one.speed_mm_s / one.fps
     before = state - np.array([0.0, fall, 0.0], np.float32)
     frames = [Renderer(Appearance.draw(scene, "left", 3)).rectified(state, 5, before) for scene in (one, other)]
@@ -280,7 +280,7 @@ def test_a_switch_reaches_the_optics_and_nothing_else(key: str) -> None:
 
 
 def test_an_effect_that_is_off_leaves_the_rest_bit_for_bit() -> None:
-    scene = load_scene("rectangle", **CLEAN)
+    scene = load_scene("rectangle", **UPRIGHT)
     for key in ("gravity", "inertia", "free_blocks"):
         assert not getattr(active_effects(scene), key)
         np.testing.assert_array_equal(poke(scene).gel, poke(scene.varied({f"effects.{key}": "off"})).gel)

@@ -8,8 +8,8 @@ from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.effects import EFFECTS, dropped_share
 from simulation.scene.worlds import load_scene
+from tests.simulation.scenes import UPRIGHT
 
-CLEAN = {"grasp__pre_tilt_spread_deg": 0.0, "grasp__pre_yaw_spread_deg": 0.0}
 FRAMES = ("gel", "slipping", "depth_mm", "block_motion")
 FORCES = ("wrench", "in_hand")
 AHEAD, ACROSS = (0.0, 0.0), (8.0, 5.0)  # mm, deg: straight into the gap; onto a block
@@ -30,7 +30,7 @@ IDLE = {
 @pytest.mark.parametrize("key", IDLE)
 def test_physics_that_is_on_with_nothing_to_do_is_off_bit_for_bit(key: str) -> None:
     scene, error, outputs = IDLE[key]
-    scene = scene.varied({key.replace("__", "."): value for key, value in CLEAN.items()})
+    scene = scene.varied({key.replace("__", "."): value for key, value in UPRIGHT.items()})
     on, off = (run_probe(scene.varied({f"effects.{key}": switch}), *error, seed=1) for switch in ("on", "off"))
     for name in outputs:
         np.testing.assert_array_equal(getattr(on, name), getattr(off, name))
@@ -44,7 +44,7 @@ def test_a_coupled_gel_that_relaxes_by_nothing_is_elastic_bit_for_bit() -> None:
 
 
 def test_friction_at_edges_that_are_not_met_is_off_bit_for_bit() -> None:
-    scene = load_scene("rectangle", **CLEAN)
+    scene = load_scene("rectangle", **UPRIGHT)
     on, off = (run_probe(scene.varied({"effects.edge_friction": switch}), *AHEAD, seed=1) for switch in ("on", "off"))
     assert on.outcome == off.outcome == "inserted"
     for name in FRAMES + FORCES:
