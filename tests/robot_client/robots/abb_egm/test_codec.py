@@ -68,9 +68,8 @@ def test_non_finite_targets_never_reach_the_wire(bad):
         codec.encode_guidance(Guidance(1, pose=Pose(bad, 0, 0)))
     with pytest.raises(EgmError):
         codec.encode_guidance(Guidance(1, speed=(bad,) * 6))
-    message = pb.EgmRobot()
-    message.header.seqno = 1
-    codec._put_pose(message.feedBack.cartesian, Pose(0, bad, 0))
+    message = pb.EgmRobot.FromString(codec.encode_robot(RobotState(1, 4, Pose(0, 0, 0))))
+    message.feedBack.cartesian.pos.y = bad
     with pytest.raises(EgmError, match="finite"):
         codec.decode_robot(message.SerializeToString())
 
@@ -88,40 +87,36 @@ def test_a_quaternion_that_is_no_rotation_is_refused():
         codec.encode_guidance(Guidance(1, pose=Pose(0, 0, 0, 0.5, 0, 0, 0)))
 
 
+def turned_by(angles, quaternion=None):
+    """The quaternion that guidance by these angles is read as."""
+    message = pb.EgmSensor()
+    message.header.seqno = 1
+    pose = message.planned.cartesian
+    pose.pos.x, pose.pos.y, pose.pos.z = 1.0, 2.0, 3.0
+    pose.euler.x, pose.euler.y, pose.euler.z = angles
+    if quaternion:
+        pose.orient.u0, pose.orient.u1, pose.orient.u2, pose.orient.u3 = quaternion
+    return codec.decode_guidance(message.SerializeToString()).pose.quaternion
+
+
 @given(st.tuples(*[st.floats(-180, 180)] * 3))
 def test_euler_angles_turn_about_z_then_the_new_y_then_the_new_x(angles):
-    message = pb.EgmSensor()
-    message.header.seqno = 1
-    pose = message.planned.cartesian
-    pose.pos.x, pose.pos.y, pose.pos.z = 1.0, 2.0, 3.0
-    pose.euler.x, pose.euler.y, pose.euler.z = angles
-    w, x, y, z = codec.decode_guidance(message.SerializeToString()).pose.quaternion
+    w, x, y, z = turned_by(angles)
     expected = Rotation.from_euler("ZYX", angles[::-1], degrees=True).as_matrix()
     assert Rotation.from_quat([x, y, z, w]).as_matrix() == pytest.approx(expected, abs=1e-6)
-
-
-def both_turns(angles, quaternion):
-    message = pb.EgmSensor()
-    message.header.seqno = 1
-    pose = message.planned.cartesian
-    pose.pos.x, pose.pos.y, pose.pos.z = 1.0, 2.0, 3.0
-    pose.euler.x, pose.euler.y, pose.euler.z = angles
-    pose.orient.u0, pose.orient.u1, pose.orient.u2, pose.orient.u3 = quaternion
-    return codec.decode_guidance(message.SerializeToString()).pose
 
 
 @given(st.tuples(*[st.floats(-180, 180)] * 3), st.sampled_from([1.0, -1.0]))
 def test_euler_angles_and_a_quaternion_that_say_the_same_are_one_turn(angles, sign):
     x, y, z, w = Rotation.from_euler("ZYX", angles[::-1], degrees=True).as_quat()
-    assert both_turns(angles, [sign * u for u in (w, x, y, z)]).quaternion == pytest.approx(
-        codec._euler_quaternion(*angles), abs=1e-9
-    )
+    both = turned_by(angles, [sign * u for u in (w, x, y, z)])
+    assert both == pytest.approx(turned_by(angles), abs=1e-9)
 
 
 @pytest.mark.parametrize("angles", [(0.2, 0.0, 0.0), (0.0, -5.0, 0.0), (0.0, 0.0, 90.0)])
 def test_euler_angles_and_a_quaternion_that_disagree_are_refused(angles):
     with pytest.raises(EgmError, match=r"differ by"):
-        both_turns(angles, (1.0, 0.0, 0.0, 0.0))
+        turned_by(angles, (1.0, 0.0, 0.0, 0.0))
 
 
 def test_oversized_datagrams_are_refused():
@@ -130,8 +125,7 @@ def test_oversized_datagrams_are_refused():
 
 
 def test_absent_states_count_as_not_ready():
-    message = pb.EgmRobot()
-    message.header.seqno = 1
-    codec._put_pose(message.feedBack.cartesian, Pose(0, 0, 0))
-    state = codec.decode_robot(message.SerializeToString())
-    assert state.unfit
+    whole = pb.EgmRobot.FromString(codec.encode_robot(RobotState(1, 4, Pose(0, 0, 0))))
+    assert not codec.decode_robot(whole.SerializeToString()).unfit
+    bare = pb.EgmRobot(header=whole.header, feedBack=whole.feedBack)
+    assert codec.decode_robot(bare.SerializeToString()).unfit
