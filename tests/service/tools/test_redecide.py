@@ -31,10 +31,15 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     return paths
 
 
-def recording(folder: Path, models: Path, hashes: list[str]) -> Path:
+def recording(
+    folder: Path, models: Path, hashes: list[str], configuration: bytes | None = None, ticked_ns: int | None = None
+) -> Path:
     facts = {"models": " ".join(f"tiny:{h}" for h in hashes), "models_folder": str(models), "calibration": ""}
     limits = '{"max_dx_mm": 15.0, "max_dtheta_deg": 15.0, "max_frame_age_ms": 150.0}'
-    recorder = Recorder(folder, "foreign", facts | {"controller": "belief", "limits": limits})
+    attached = {"configuration.json": configuration} if configuration else {}
+    recorder = Recorder(folder, "foreign", facts | {"controller": "belief", "limits": limits}, attachments=attached)
+    if ticked_ns:
+        recorder.call({"call": "tick"}, ticked_ns)
     return recorder.close({"outcome": "aborted", "attempts": 0})
 
 
@@ -78,11 +83,7 @@ def test_a_recording_of_another_version_is_refused_by_what_it_lacks(
 def test_a_recording_that_is_cut_off_or_damaged_is_never_called_the_same(
     tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    facts = {"models": " ".join(f"tiny:{h}" for h in hashes_of(models_folder)), "models_folder": "", "calibration": ""}
-    limits = '{"max_dx_mm": 15.0, "max_dtheta_deg": 15.0, "max_frame_age_ms": 150.0}'
-    recorder = Recorder(tmp_path / "r", "damaged", facts | {"controller": "belief", "limits": limits})
-    recorder.call({"call": "tick"}, 1234567)
-    path = recorder.close({"outcome": "aborted", "attempts": 0})
+    path = recording(tmp_path / "r", Path(), hashes_of(models_folder), ticked_ns=1234567)
     whole, again = path.read_bytes(), ["replay", str(path), "--models", str(models_folder)]
     assert main(again) == 0
     capsys.readouterr()
@@ -160,10 +161,6 @@ def test_settings_that_are_none_are_refused_in_one_line(
     tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for content in (b"[]", b"{", b'{"frames_timeout_s": "soon"}'):
-        facts = {"models": " ".join(f"tiny:{h}" for h in hashes_of(models_folder)), "calibration": ""}
-        limits = '{"max_dx_mm": 15.0, "max_dtheta_deg": 15.0, "max_frame_age_ms": 150.0}'
-        attached = {"configuration.json": content}
-        facts |= {"controller": "belief", "limits": limits, "models_folder": "."}
-        path = Recorder(tmp_path, "odd", facts, attachments=attached).close({"outcome": "aborted", "attempts": 0})
+        path = recording(tmp_path, Path(), hashes_of(models_folder), content)
         assert main(["replay", str(path), "--models", str(models_folder)]) == 2
         assert len(capsys.readouterr().err.splitlines()) == 1
