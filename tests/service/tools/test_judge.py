@@ -52,11 +52,10 @@ def rows_of(runs, out, *options):
 
 def test_the_phases_of_a_recorded_grasp_are_found(tmp_path):
     record(tmp_path / "runs" / "box_1_slip", (18, 38))
-    out = tmp_path / "rows.json"
-    assert main(["judge", str(tmp_path / "runs"), "--json", str(out)]) == 0
-    (row,) = json.loads(out.read_text())
-    assert set(row) == KEYS
-    assert (row["run"], row["frames_n"], row["contact_frame"]) == ("box_1_slip", 48, 18)
+    rows, returned = rows_of(tmp_path / "runs", tmp_path / "rows.json")
+    row = rows["box_1_slip"]
+    assert (set(rows), set(row), returned) == ({"box_1_slip"}, KEYS, 0)
+    assert (row["frames_n"], row["contact_frame"]) == (48, 18)
     assert 18 < row["hold_frame"] < 28
     assert 38 <= row["lost_frame"] <= 40
     assert set(row["fingers"]) == {"camera_0", "camera_2"}
@@ -64,8 +63,8 @@ def test_the_phases_of_a_recorded_grasp_are_found(tmp_path):
 
 def test_an_object_that_is_put_down_and_let_go_is_released_and_not_lost(tmp_path):
     record(tmp_path / "runs" / "box_1_slip", (18, 38), put_down=4)
-    assert main(["judge", str(tmp_path / "runs"), "--json", str(tmp_path / "rows.json")]) == 0
-    (row,) = json.loads((tmp_path / "rows.json").read_text())
+    rows, _ = rows_of(tmp_path / "runs", tmp_path / "rows.json")
+    row = rows["box_1_slip"]
     assert row["borne_frames"][:4] == [34, 35, 36, 37]
     assert 38 <= row["released_frame"] <= 40
     assert (row["slip_frame"], row["lost_frame"]) == (None, None)
@@ -82,11 +81,10 @@ def test_pictures_without_markers_show_no_grasp_and_a_run_that_cannot_be_read_is
         for name in ("camera_0", "camera_2"):
             write_black(clip := tmp_path / run / f"{name}.avi", 6)
     clip.write_bytes(b"no video")
-    rows = tmp_path / "rows.json"
-    assert main(["judge", str(tmp_path), "--json", str(rows)]) == 1
+    rows, returned = rows_of(tmp_path, tmp_path / "rows.json")
     assert "unreadable" in capsys.readouterr().err
-    (row,) = json.loads(rows.read_text())
-    assert (row["run"], row["refused_n"]) == ("black", 12)
+    row = rows["black"]
+    assert (set(rows), row["refused_n"], returned) == ({"black"}, 12, 1)
     assert {row[f"{phase}_frame"] for phase in ("contact", "hold", "slip", "lost")} == {None}
 
 
@@ -96,8 +94,8 @@ def test_odd_runs_are_named_in_one_line_each_and_the_others_judged(tmp_path, cap
         record(runs / name, (10, 18), frames)
     (runs / "unnamed").rename(runs / "un\udcffnamed")
     (runs / "no one" / "camera_2.avi").unlink()
-    assert main(["judge", str(runs), "--json", str(tmp_path / "rows.json")]) == 1
-    rows = {row["run"]: row for row in json.loads((tmp_path / "rows.json").read_text())}
+    rows, returned = rows_of(runs, tmp_path / "rows.json")
+    assert returned == 1
     assert {name: (row["frames_n"], len(row["fingers"])) for name, row in rows.items()} == {
         "one frame": (1, 2), "una_caña_1_hold": (24, 2), "no one": (1, 1)
     }  # fmt: skip
