@@ -2,11 +2,14 @@
 
 import json
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from tests.waiting import wait_for
 
 ROOT = Path(__file__).parent.parent
 MODELS = ROOT / "models"
@@ -52,9 +55,6 @@ def test_the_demonstration_inserts_one_object_after_another_and_its_cell_knows_t
 
 
 def test_nothing_is_left_running_after_an_interrupt(tmp_path):
-    import signal
-    import time
-
     command = [sys.executable, "-m", "simulation", "run", "--out", str(tmp_path)]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
@@ -66,6 +66,4 @@ def test_nothing_is_left_running_after_an_interrupt(tmp_path):
     finally:
         process.kill()
         process.stdout.close()
-    time.sleep(0.2)
-    left = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
-    assert str(tmp_path) not in left
+    wait_for(lambda: str(tmp_path) not in subprocess.check_output(["ps", "-eo", "args"], text=True))

@@ -7,6 +7,7 @@ import time
 import pytest
 
 from service.contract import ContractError
+from tests.waiting import wait_for
 from training.cli.commands import main
 from training.report import boards
 
@@ -48,12 +49,13 @@ def test_a_line_that_is_being_written_is_waited_for(run, monkeypatch):
 
     thread = threading.Thread(target=listen)
     thread.start()
+    wait_for(lambda: len(heard) >= 3)
     time.sleep(0.1)
-    assert heard == [0, 1, 2]
+    assert heard == [0, 1, 2], "half a line is none"
     with log.open("a") as file:
         file.write('ch": 3, "loss": 0.5}\n')
-    thread.join(10)
-    assert heard == [0, 1, 2, 3]
+    wait_for(lambda: heard == [0, 1, 2, 3])
+    thread.join()
 
 
 def test_a_line_that_a_kill_cut_off_hides_no_other(run):
