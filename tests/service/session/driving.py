@@ -55,5 +55,5 @@ class Client:
 def wait_for_recorders() -> None:
     for thread in threading.enumerate():
         if thread.name in {"recorder", "close-recording"}:
-            thread.join(20)
+            thread.join(60)
             assert not thread.is_alive()

@@ -1,7 +1,6 @@
 """Deciding a recorded insertion again, from the page or the API: with which networks, and how large a one."""
 
 import os
-import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
@@ -64,8 +63,7 @@ def test_an_insertion_that_begins_ends_what_is_being_decided_again(
     with ThreadPoolExecutor(1) as beside:
         answer = beside.submit(decided_again, live, path)
         number = wait_for(lambda: (tmp_path / "number").is_file() and (tmp_path / "number").read_text().strip())
-        time.sleep(0.2)
-        assert os.getpriority(os.PRIO_PROCESS, int(number)) > os.getpriority(os.PRIO_PROCESS, 0)
+        wait_for(lambda: os.getpriority(os.PRIO_PROCESS, int(number)) > os.getpriority(os.PRIO_PROCESS, 0))
         driver = greeted(live, "next")
         refused = answer.result(30)
     driver.gives_up()

@@ -103,6 +103,7 @@ def test_an_answer_in_json_is_as_described(live: LiveService) -> None:
     answer = httpx.post(live.url(f"/v2/models/{MODEL}/infer"), json={"inputs": tensors}, headers=live.bearer)
     described = httpx.get(live.url("/openapi.json")).json()["paths"]["/v2/models/{name}/infer"]["post"]["responses"]
     schema = described["200"]["content"]["application/json"]["schema"]
+    assert answer.status_code == 200
     jsonschema_rs.validator_for(schema).validate(answer.json())
 
 
