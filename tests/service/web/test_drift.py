@@ -13,7 +13,7 @@ from service.observability.charts import LEARNT_N, LIMIT
 from service.session.manager import CHARTS
 from tests.service.client import greeted
 from tests.service.conftest import LiveService, live_service
-from tests.service.session.test_manager import manager
+from tests.service.session.driving import manager
 from tests.waiting import wait_for
 
 
