@@ -5,8 +5,8 @@ import fcntl
 import io
 import json
 import os
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -71,6 +71,28 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
         except json.JSONDecodeError:
             continue
     return rows
+
+
+@contextmanager
+def added_rows(log: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
+    """Yield what adds a row to a log, which is on disk when the call returns; each begins its own line.
+
+    Raises ValueError if another process adds rows to it: it would do the same work again.
+    """
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("a", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"{log}: another process adds rows to it; expected its end, or another folder") from None
+        if log.stat().st_size and not log.read_bytes().endswith(b"\n"):  # a kill has cut the last one
+            file.write("\n")
+
+        def add(row: Mapping[str, Any]) -> None:
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+
+        yield add
 
 
 def read_json(path: Path, made_by: str) -> Any:

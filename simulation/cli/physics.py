@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from reporting.files import read_rows, write_json
+from reporting.files import added_rows, read_rows, write_json
 from reporting.page import publish
 from simulation.data.progress import progress
 from simulation.data.sources import sources_sha256
@@ -143,16 +143,15 @@ def foreign_check(arguments: list[str]) -> int:
 
 def _kept_rows(log: Path, parts: list[tuple[str, list[Any]]]) -> dict[str, Any]:
     """The rows of every part, by name; rows already in the log are not recomputed."""
-    log.parent.mkdir(parents=True, exist_ok=True)
-    done, data = {(each["part"], each["number"]): each["rows"] for each in read_rows(log)}, dict[str, Any]()
-    with log.open("a") as file, progress("probes", sum(len(todo) for _, todo in parts)) as show:
+    data: dict[str, Any] = {}
+    with added_rows(log) as add, progress("probes", sum(len(todo) for _, todo in parts)) as show:
+        done = {(each["part"], each["number"]): each["rows"] for each in read_rows(log)}
         for name, todo in parts:
             for number, make in enumerate(todo):
                 if (name, number) not in done:
                     made = make()
                     done[name, number] = [made] if isinstance(made, dict) else list(made)
-                    file.write(json.dumps({"part": name, "number": number, "rows": done[name, number]}) + "\n")
-                    file.flush()
+                    add({"part": name, "number": number, "rows": done[name, number]})
                 show(len(done))
             data[name] = [row for number in range(len(todo)) for row in done[name, number]]
     return data

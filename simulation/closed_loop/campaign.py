@@ -3,18 +3,16 @@
 A log is valid only for the networks, the physics, the service and the client that produced it: `claim` refuses others.
 """
 
-import fcntl
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
-from reporting.files import read_rows, write_durably
+from reporting.files import added_rows, read_rows, write_json
 from simulation.data.parallel import results
-from simulation.data.progress import progress
+from simulation.data.progress import shown
 from simulation.data.sources import sources_sha256
 
 Row = dict[str, Any]
@@ -86,7 +84,7 @@ def claim(out: Path, setup: Mapping[str, str]) -> None:
                 f"{out} holds results of other {', '.join(changed)}; expected an empty folder (--out) or the same ones"
             )
         setup = {**before, **setup}
-    write_durably(path, (json.dumps(setup, indent=1, sort_keys=True) + "\n").encode())
+    write_json(path, dict(sorted(setup.items())))
 
 
 def _setup(path: Path) -> dict[str, str]:
@@ -104,29 +102,13 @@ def _setup(path: Path) -> dict[str, str]:
 def run(tasks: Sequence[Task], log: Path, *, workers: int = 0, ray: str = "", title: str = "insertions") -> list[Row]:
     """Play what the log lacks, with progress and ETA; returns the row of each of ``tasks`` once, in their order.
 
-    Raises ValueError if another process plays into the log: it would play the same insertions again.
+    Raises ValueError if another process plays into the log.
     """
     wanted = {task.key: task for task in tasks}
-    with _extended(log) as file:
+    with added_rows(log) as add:
         rows = {key: row for row in read_rows(log) if (key := key_of(row)) in wanted and wanted[key].made(row)}
         missing = [task for key, task in wanted.items() if key not in rows]
-        with progress(f"{title} (simulated)", len(missing)) as show:
-            for done, row in enumerate(results(play, missing, workers, ray), 1):
-                rows[key_of(row)] = row
-                file.write(json.dumps(row) + "\n")
-                file.flush()
-                show(done)
+        for row in shown(f"{title} (simulated)", results(play, missing, workers, ray), len(missing)):
+            rows[key_of(row)] = row
+            add(row)
     return [rows[key] for key in wanted]
-
-
-@contextmanager
-def _extended(log: Path) -> Iterator[TextIO]:
-    """The log, to be added to by this process alone; the next row starts on its own line."""
-    with log.open("a", encoding="utf-8") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ValueError(f"{log}: another process plays into it; expected its end, or another folder") from None
-        if log.stat().st_size and not log.read_bytes().endswith(b"\n"):  # a kill has cut the last one
-            file.write("\n")
-        yield file

@@ -2,10 +2,12 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 _LINE_EVERY_S = 30.0
+Result = TypeVar("Result")
 
 
 @contextmanager
@@ -30,3 +32,11 @@ def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
                 print(f"{done}/{total} {what}, {rate:.1f}/s, about {left_min:.1f} min left", flush=True)
 
         yield show
+
+
+def shown(what: str, results: Iterable[Result], total: int) -> Iterator[Result]:
+    """Each of ``total`` results called ``what`` as it comes, with their progress."""
+    with progress(what, total) as show:
+        for done, result in enumerate(results, 1):
+            show(done)
+            yield result

@@ -26,7 +26,7 @@ from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row, ends
 from simulation.data.manifest import MANIFEST, read_manifest
 from simulation.data.parallel import results
-from simulation.data.progress import progress
+from simulation.data.progress import shown
 from simulation.data.sources import sources_sha256
 from simulation.scene import drawn
 from simulation.scene.scene import Scene
@@ -228,12 +228,8 @@ def _played(
 ) -> list[Row]:
     folder = cell.folder / name
     episodes = [Episode(folder / f"{index:05d}", models or plan.models, job) for index, job in enumerate(jobs)]
-    rows = []
-    with progress(f"{cell.world.name}: {name} (simulated)", len(episodes)) as show:
-        for done, row in enumerate(results(play, episodes, plan.workers, in_order=in_order), 1):
-            rows.append(row)
-            show(done)
-    return rows
+    rows = results(play, episodes, plan.workers, in_order=in_order)
+    return list(shown(f"{cell.world.name}: {name} (simulated)", rows, len(episodes)))
 
 
 def _scored(cell: Cell, plan: Plan, name: str, models: Path) -> Row:

@@ -1,7 +1,8 @@
 """What a commissioning's presses at two speeds tell of the lateness of a cell, in lock step."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from functools import partial
+from operator import call
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from simulation.closed_loop.job import Job, job_in
 from simulation.closed_loop.play import Insertion, models_of, stage
 from simulation.closed_loop.statistics import Row
 from simulation.data.parallel import results
-from simulation.data.progress import progress
+from simulation.data.progress import shown
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.state import PhysicsError
 from simulation.scene.worlds import World
@@ -62,18 +63,6 @@ def _pressed(insertion: Insertion, plan: Plan) -> StopWatch:
     return watch
 
 
-@dataclass(frozen=True)
-class _Timing:
-    world: World
-    name: str
-    seed: int
-    models: Path
-
-
-def _timed(one: _Timing) -> Row:
-    return timed(one.world, one.name, one.seed, one.models)
-
-
 def lateness(worlds: Sequence[World], objects: Mapping[str, Scene], seed: int, models: Path, workers: int) -> list[Row]:
     """`timed` in each world in which an object can be held, with the one that turns most about its first corner."""
     todo = []
@@ -83,14 +72,10 @@ def lateness(worlds: Sequence[World], objects: Mapping[str, Scene], seed: int, m
                 world.around(objects[name])
             except SceneError:
                 continue
-            todo.append(_Timing(world, name, int(np.random.SeedSequence((seed, number)).generate_state(1)[0]), models))
+            of_world = int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
+            todo.append(partial(timed, world, name, of_world, models))
             break
-    rows = []
-    with progress("lateness of each world (simulated)", len(todo)) as show:
-        for done, row in enumerate(results(_timed, todo, workers, in_order=True), 1):
-            rows.append(row)
-            show(done)
-    return rows
+    return list(shown("lateness of each world (simulated)", results(call, todo, workers, in_order=True), len(todo)))
 
 
 def errors_ms(rows: Sequence[Row]) -> list[float]:

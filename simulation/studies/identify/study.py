@@ -9,7 +9,7 @@ import numpy as np
 from service.contract import ContractError
 from simulation.closed_loop.statistics import Row
 from simulation.data.parallel import results
-from simulation.data.progress import progress
+from simulation.data.progress import shown
 from simulation.scene.scene import Scene
 from simulation.studies.identify import posterior, recorded
 from simulation.studies.identify.cells import Cell, pressed
@@ -54,10 +54,7 @@ def as_json(grip_n: float, intervals: Sequence[Interval], model: Posterior) -> R
 
 def played(cells: Sequence[Cell], workers: int) -> Iterator[Row]:
     """Each cell's ground truth and numbers, in order."""
-    with progress("cells press (simulated)", len(cells)) as show:
-        for done, row in enumerate(results(pressed, cells, workers, in_order=True), 1):
-            show(done)
-            yield row
+    return shown("cells press (simulated)", results(pressed, cells, workers, in_order=True), len(cells))
 
 
 def fitted(rows: Sequence[Row], about: Mapping[str, Any]) -> Posterior:

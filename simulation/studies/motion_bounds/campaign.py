@@ -1,12 +1,11 @@
 """Every fault in each of its phases, stored row by row, so that an interrupted campaign can resume."""
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from reporting.files import read_rows
+from reporting.files import added_rows, read_rows
 from service.contract.shipped import released_models
 from simulation.cell.run import RunOptions
 from simulation.studies.motion_bounds.faults import FAULTS, Fault, Phase
@@ -31,21 +30,14 @@ def cases(only: str = "") -> list[tuple[Fault, Phase]]:
     return [(fault, phase) for fault in FAULTS for phase in fault.phases if only in fault.name]
 
 
-def rows_in(runs: Path) -> dict[tuple[str, str], dict[str, Any]]:
-    """The rows measured so far, by fault and phase."""
-    return {(row["fault"], row["phase"]): row for row in read_rows(runs / "rows.jsonl")}
-
-
 def measure(options: BoundsOptions, tell: Callable[[str], None]) -> list[dict[str, Any]]:
     """All rows, in the order of the cases; raises ChildError if a cell cannot be started."""
-    done = rows_in(options.runs)
-    todo = [case for case in cases(options.only) if (case[0].name, case[1]) not in done]
-    options.runs.mkdir(parents=True, exist_ok=True)
-
-    for case in todo:
-        row = row_of(*case, RunOptions(models=options.models), options.runs)
-        with (options.runs / "rows.jsonl").open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        tell(f"{row['fault']}, {row['phase']}: {row['travel_mm']:.2f} mm, {row['force_n']:.1f} N, {row['ended']}")
-    done = rows_in(options.runs)
-    return [done[fault.name, phase] for fault, phase in cases(options.only)]
+    asked, log = cases(options.only), options.runs / "rows.jsonl"
+    with added_rows(log) as add:
+        done = {(row["fault"], row["phase"]): row for row in read_rows(log)}
+        for fault, phase in asked:
+            if (fault.name, phase) not in done:
+                row = done[fault.name, phase] = row_of(fault, phase, RunOptions(models=options.models), options.runs)
+                add(row)
+                tell(f"{row['fault']}, {phase}: {row['travel_mm']:.2f} mm, {row['force_n']:.1f} N, {row['ended']}")
+    return [done[fault.name, phase] for fault, phase in asked]

@@ -87,7 +87,7 @@ def test_two_processes_do_not_play_the_same_insertions_into_one_log(tmp_path, mo
     tasks = [campaign.Task(tmp_path, {"scene": "circle", "seed": 1})]
 
     def play(task):
-        with pytest.raises(ValueError, match="log: another process plays into it"):
+        with pytest.raises(ValueError, match="log: another process adds rows to it"):
             campaign.run(tasks, tmp_path / "log", workers=1)
         return dict(task.job)
 

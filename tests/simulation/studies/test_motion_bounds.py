@@ -1,6 +1,5 @@
 """Live insertions with injected faults: the measurements, and that the bounds hold."""
 
-import json
 import socket
 import socketserver
 import threading
@@ -9,7 +8,8 @@ import time
 import pytest
 
 from simulation.cell.run import RunOptions
-from simulation.studies.motion_bounds.campaign import cases, rows_in
+from simulation.studies.motion_bounds import campaign
+from simulation.studies.motion_bounds.campaign import cases
 from simulation.studies.motion_bounds.faults import FAULTS, Fault
 from simulation.studies.motion_bounds.play import _moved_mm, _travel_mm, row_of
 from simulation.studies.motion_bounds.relay import DRIP_S, Relay
@@ -21,6 +21,19 @@ MS = 1_000_000
 def test_there_are_at_least_sixty_faults_and_phases():
     named = [(fault.name, phase) for fault, phase in cases()]
     assert len(named) == len(set(named)) >= 60
+
+
+def test_a_campaign_that_was_killed_while_it_wrote_a_row_goes_on(tmp_path, monkeypatch):
+    def row_of(fault, phase, _options, _folder):
+        return {"fault": fault.name, "phase": phase, "travel_mm": 1.0, "force_n": 2.0, "ended": "killed"}
+
+    monkeypatch.setattr(campaign, "row_of", row_of)
+    options = campaign.BoundsOptions(runs=tmp_path, only="link reset")
+    (tmp_path / "rows.jsonl").write_text('{"fault": "link re')
+    first = campaign.measure(options, lambda _: None)
+    assert [(row["fault"], row["phase"]) for row in first] == [("link reset", "air"), ("link reset", "contact")]
+    monkeypatch.setattr(campaign, "row_of", lambda *_: pytest.fail("measured again"))
+    assert campaign.measure(options, lambda _: None) == first
 
 
 def story(frames_ms, *, held_ms):
@@ -100,11 +113,9 @@ def test_a_bad_network_is_as_bad_as_it_says(echo):
     assert sent_through(echo)[0] == b""
 
 
-def test_the_page_tells_what_the_lease_bounds_from_what_it_does_not(tmp_path):
+def test_the_page_tells_what_the_lease_bounds_from_what_it_does_not():
     row = {"fault": "f", "phase": "air", "injected": True, "travel_mm": 1.1, "force_n": 9.0, "moved_mm": 0.0}
     row |= {"ended": "arm: unwatched", "inserted": False, "hung": False, "tracebacks": 0, "bounded": True, "held": True}
-    (tmp_path / "rows.jsonl").write_text(json.dumps(row) + "\n")
-    assert rows_in(tmp_path) == {("f", "air"): row}
     text = bounds_page({"rows": [row, row | {"fault": "g", "bounded": False, "travel_mm": 9.0, "force_n": 19.0}]})
     assert "The worst of 2 faults is *g, air*: the arm travelled 9.00 mm" in " ".join(text.split())
     assert "The largest force was 19.0 N" in text
