@@ -79,8 +79,8 @@ def main(arguments: list[str]) -> int:
     checkpoint = options.checkpoint or models / "checkpoint.pt"
     if not checkpoint.exists():
         raise ValueError(f"--checkpoint {checkpoint}: no such file; expected the release as `training` saved it")
-    counts = options.probes, options.insertions, options.workers, options.work, options.around
-    plan = Plan(checkpoint, models, *counts)
+    more = {"workers": options.workers, "work": options.work, "around": options.around}
+    plan = Plan(checkpoint, models, options.probes, options.insertions, **more)
     made_by = campaign.made_by({"belief": models})
     worlds = [load_world(file) for file in files_in(options.worlds)]
     cells = [(_cell(options, world, made_by), plan) for world in worlds]

@@ -1,7 +1,7 @@
 """`drawn-worlds`, `sealed`: the closed loop outside the training set; `draw-worlds`, `draw-objects`: files for it."""
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,7 +13,6 @@ from reporting.page import publish
 from service.contract.shipped import released_models
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import campaign
-from simulation.closed_loop.campaign import fingerprint
 from simulation.closed_loop.job import Perception
 from simulation.closed_loop.statistics import Row
 from simulation.scene import drawn
@@ -62,7 +61,7 @@ def main(arguments: list[str]) -> int:
         worlds, drawn_objects(options.out, options.drawn_n, options.seed), options.count, options.seed
     )
     played = _variants(options)
-    setup = fingerprint({variant.title: variant.models for variant in played})
+    setup = campaign.fingerprint({variant.title: variant.models for variant in played})
     rows = options.play(drawn_worlds.tasks(played, begun, options.seed), setup)
     data = drawn_worlds.report_of(rows, played, begun, setup)
     sys.stdout.write(publish(options.docs, drawn_worlds.NAME, drawn_worlds.drawn_worlds_page(data), data))
@@ -194,14 +193,13 @@ class DrawOptions:
     """seed of the draw"""
 
 
-def _write(options: DrawOptions, kind: str, tables: list[drawn.Tables], comment: Callable[[World], str]) -> int:
+def _write(options: DrawOptions, kind: str, tables: list[drawn.Tables], comments: list[str]) -> int:
     if options.out.exists() and any(options.out.iterdir()):
         raise ValueError(f"--out {options.out}: not empty; nothing is overwritten")
     options.out.mkdir(parents=True, exist_ok=True)
-    for number, each in enumerate(tables):
-        name = f"{kind}-{options.seed}-{number:04d}"
-        note = comment(drawn.world(each, name)) if kind == "world" else f"drawn with seed {options.seed}"
-        (options.out / f"{name}.toml").write_text(drawn.toml(each, note), encoding="utf-8")
+    for number, (each, comment) in enumerate(zip(tables, comments, strict=True)):
+        path = options.out / f"{kind}-{options.seed}-{number:04d}.toml"
+        path.write_text(drawn.toml(each, f"drawn with seed {options.seed}{comment}"), encoding="utf-8")
     print(f"{len(tables)} {kind}s under {options.out}")
     return 0
 
@@ -209,16 +207,13 @@ def _write(options: DrawOptions, kind: str, tables: list[drawn.Tables], comment:
 def draw_worlds(arguments: list[str]) -> int:
     """Write worlds by Latin hypercube."""
     options = tyro.cli(DrawOptions, args=arguments, prog="tactile-insertion draw-worlds")
-    box = load_scene("rectangle")
-
-    def comment(world: World) -> str:
-        reach = shear_reach_pitches(world.around(box))
-        return f"drawn with seed {options.seed}; a flat object slides after {reach:.2f} marker pitches of shear"
-
-    return _write(options, "world", drawn.draw_worlds(options.count, options.seed), comment)
+    box, tables = load_scene("rectangle"), drawn.draw_worlds(options.count, options.seed)
+    reaches = [shear_reach_pitches(drawn.world(each, "drawn").around(box)) for each in tables]
+    comments = [f"; a flat object slides after {reach:.2f} marker pitches of shear" for reach in reaches]
+    return _write(options, "world", tables, comments)
 
 
 def draw_objects(arguments: list[str]) -> int:
     """Write random convex objects."""
     options = tyro.cli(DrawOptions, args=arguments, prog="tactile-insertion draw-objects")
-    return _write(options, "object", drawn.draw_objects(options.count, options.seed), lambda _: "")
+    return _write(options, "object", drawn.draw_objects(options.count, options.seed), [""] * options.count)

@@ -1,6 +1,7 @@
 """Commands that show what happens in one poke of the simulated cell and what its sensor records."""
 
 import argparse
+import math
 from pathlib import Path
 
 import cv2
@@ -65,7 +66,7 @@ def probe(arguments: list[str]) -> int:
     print("frame  depth mm  force N  tilt deg  largest shear mm")
     for i, depth in enumerate(done.depth_mm):
         shear = float(abs(done.gel[i, ..., :2] - done.gel[0, ..., :2]).max())
-        tilt = 57.29578 * float((done.in_hand[i, 3:5] ** 2).sum()) ** 0.5
+        tilt = math.degrees(math.hypot(*done.in_hand[i, 3:5]))
         print(f"{i:5d}  {depth:8.2f}  {done.wrench[i, 2]:z7.2f}  {tilt:8.2f}  {shear:8.3f}")
     if given.save is not None:
         save(pictures(scene, done, given.seed), given.save, scene.fps)

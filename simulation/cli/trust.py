@@ -13,7 +13,6 @@ from reporting.page import publish
 from simulation.cli.drawn_worlds import drawn_worlds_of
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import campaign
-from simulation.closed_loop.campaign import fingerprint
 from simulation.closed_loop.job import Perception
 from simulation.scene.worlds import files_in, load_objects, load_world
 from simulation.studies import trust
@@ -48,7 +47,7 @@ def main(arguments: list[str]) -> int:
     worlds = [load_world(path) for path in files_in(options.worlds)]
     if options.drawn_n or not worlds:
         worlds += drawn_worlds_of(options.drawn_n, options.seed, options.layer_share)
-    setup = fingerprint({"belief": options.models})
+    setup = campaign.fingerprint({"belief": options.models})
     objects, path = load_objects(options.objects), options.out / "lateness.json"
     timed = [asdict(world) | {"unstated": world.unstated.model_dump(mode="json")} for world in worlds]
     which = json.dumps([options.seed, timed, [scene.sha256 for scene in objects.values()]])

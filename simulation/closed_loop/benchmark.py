@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.job import job_in
 from simulation.closed_loop.statistics import Row, class_of, ends, first_decisions, title_of
-from simulation.scene.scene import Scene
+from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World
 
 UNLIKE_TRAINING = "untrained", "out_of_distribution"
@@ -44,6 +45,15 @@ def tasks(
     ]
 
 
+def held_in(world: World, objects: Mapping[str, Scene]) -> dict[str, Scene]:
+    """The objects that can be held in a world, by their names, each in that world."""
+    held = {}
+    for name, scene in objects.items():
+        with suppress(SceneError):
+            held[name] = world.around(scene)
+    return held
+
+
 def table(rows: Sequence[Row]) -> list[Row]:
     """One row per (world, object), in the order in which they were first played."""
     pairs = dict.fromkeys((row["condition"], row["scene"]) for row in rows)
@@ -51,14 +61,17 @@ def table(rows: Sequence[Row]) -> list[Row]:
         {
             "world": world,
             "object": title_of(scene),
-            **ends(mine := [row for row in rows if (row["condition"], row["scene"]) == (world, scene)]),
-            **first_answers(mine),
-            "worst_force_n": max(row["course"]["force_n"] for row in mine),
+            **figures(mine := [row for row in rows if (row["condition"], row["scene"]) == (world, scene)]),
             "worst_block_mm": max(row["course"]["block_mm"] for row in mine),
             "reasons": dict(Counter(_cause(row["reason"]) for row in mine if row["reason"]).most_common()),
         }
         for world, scene in pairs
     ]
+
+
+def figures(rows: Sequence[Row]) -> Row:
+    """How insertions ended, what the networks first decided in them, and the largest force on the object, N."""
+    return {**ends(rows), **first_answers(rows), "worst_force_n": max(row["course"]["force_n"] for row in rows)}
 
 
 def first_answers(rows: Sequence[Row]) -> Row:

@@ -41,6 +41,11 @@ def first_decisions(rows: Iterable[Row]) -> list[Row]:
     return [trial for trial in firsts if trial["decision"]["type"] == "correction"]
 
 
+def claimed_wrongly(row: Row) -> bool:
+    """Whether the client claimed an insertion that was none."""
+    return bool(row["claimed"] and not row["inserted"])
+
+
 def refused(row: Row) -> bool:
     """Whether the service or the client ended the insertion by itself before its trials were used up."""
     return not (row["inserted"] or row["claimed"] or row["void"]) and row["attempts"] < FAILED_COUNTS_AS - 1
@@ -51,7 +56,7 @@ def ends(rows: Sequence[Row]) -> Row:
     return {
         "insertions": len(rows),
         "inserted": sum(row["inserted"] for row in rows),
-        "claimed_wrongly": sum(row["claimed"] and not row["inserted"] for row in rows),
+        "claimed_wrongly": sum(map(claimed_wrongly, rows)),
         "refused": sum(refused(row) for row in rows),
         "void": sum(row["void"] for row in rows),
         "mean_trials": sum(trials_of(row) for row in rows) / len(rows),

@@ -9,7 +9,7 @@ import numpy as np
 from reporting.page import page
 from reporting.statistics import wilson
 from reporting.table import table
-from simulation.closed_loop.benchmark import first_answers
+from simulation.closed_loop.benchmark import figures
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.job import Perception, job_in
 from simulation.closed_loop.statistics import Row, ends
@@ -56,6 +56,10 @@ class Start(NamedTuple):
     theta_deg: float
     reach_pitches: float
 
+    def job(self, index: int, seed: int, **more: Any) -> dict[str, Any]:
+        """Fields of its `Job`; see `job_in`."""
+        return job_in(self.world, self.scene, index, (self.x_mm, self.theta_deg), seed, **more)
+
 
 def starts(worlds: Sequence[World], objects: Sequence[str], count: int, seed: int) -> list[Start]:
     """``count`` insertions, the worlds in turn, each with a suitable object and a drawn start."""
@@ -80,11 +84,8 @@ def tasks(variants: Sequence[Variant], begun: Sequence[Start], seed: int) -> lis
     return [
         Task(
             variant.models,
-            job_in(
-                start.world,
-                start.scene,
+            start.job(
                 index,
-                (start.x_mm, start.theta_deg),
                 seed * 1_000_000 + index,
                 controller=variant.controller,
                 perception=variant.perception,
@@ -111,26 +112,22 @@ def report_of(
         "worlds": len({start.world.name for start in begun}),
         "objects": len({start.scene for start in begun}),
         "release": ends([row for title in ours for row in by_variant[title]]),
-        "variants": [{"variant": title, **_figures(mine)} for title, mine in by_variant.items()],
+        "variants": [{"variant": title, **figures(mine)} for title, mine in by_variant.items()],
         "deciles": list(_deciles(first, reach)),
         "tiers": [
-            {"tier": tier, **_figures([row for row in first if row["changes"]["gel.tier"] == tier])}
+            {"tier": tier, **figures([row for row in first if row["changes"]["gel.tier"] == tier])}
             for tier in sorted({row["changes"]["gel.tier"] for row in first})
         ],
     }
 
 
-def _figures(rows: Sequence[Row]) -> Row:
-    return {**ends(rows), **first_answers(rows), "worst_force_n": max(row["course"]["force_n"] for row in rows)}
-
-
 def _deciles(rows: Sequence[Row], reach: Any) -> Iterator[Row]:
     edges = np.quantile(reach, np.linspace(0.0, 1.0, DECILES + 1))
-    place = np.clip(np.searchsorted(edges, reach, side="right") - 1, 0, DECILES - 1)
+    place = np.digitize(reach, edges[1:-1])
     for decile in range(DECILES):
         mine = [row for row, where in zip(rows, place, strict=True) if where == decile]
         if mine:
-            yield {"low": float(edges[decile]), "high": float(edges[decile + 1]), **_figures(mine)}
+            yield {"low": float(edges[decile]), "high": float(edges[decile + 1]), **figures(mine)}
 
 
 def drawn_worlds_page(data: Row) -> str:

@@ -4,7 +4,6 @@ The first figure is the number of false claims. A claim is only as good as the g
 (`simulation.scene.ground_truth`), so the page also counts the true insertions that were not claimed.
 """
 
-import contextlib
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -17,11 +16,12 @@ from reporting.page import page
 from reporting.statistics import wilson
 from reporting.table import table
 from service.contract import FINGERS, Finger
+from simulation.closed_loop.benchmark import held_in
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.job import job_in
-from simulation.closed_loop.statistics import Row
+from simulation.closed_loop.statistics import Row, claimed_wrongly
 from simulation.closed_loop.true_fields import Fault, Kind
-from simulation.scene.scene import Scene, SceneError
+from simulation.scene.scene import Scene
 from simulation.scene.worlds import World
 from simulation.studies.lateness import errors_ms
 
@@ -52,21 +52,19 @@ def tasks(
     ``late_s``: lateness of each world by name, as its commissioning has measured it. Where it could not (None), the
     client refuses to insert: such a world is not drawn. Raises ValueError where that leaves none.
     """
-    if not any(_can_be_played(world, objects, late_s) for world in worlds):
+    held = [{} if late_s.get(world.name, 0.0) is None else held_in(world, objects) for world in worlds]
+    if not any(held):
         raise ValueError("no world in which an object can be held and the lateness was measured: nothing to play")
     rng = np.random.default_rng((seed, 0x7A57))
     todo: list[Task] = []
     while len(todo) < count:
-        world = worlds[int(rng.integers(len(worlds)))]
+        number = int(rng.integers(len(worlds)))
         name = list(objects)[int(rng.integers(len(objects)))]
         wrong, given = _fault(rng)
         shares = rng.uniform(-1.0, 1.0, 2)
-        if late_s.get(world.name, 0.0) is None:
-            continue
-        try:
-            scene = world.around(objects[name])
-        except SceneError:
-            continue  # this object cannot be held in this world
+        if name not in held[number]:
+            continue  # the world was not timed, or this object cannot be held in it
+        world, scene = worlds[number], held[number][name]
         start = (shares[0] * scene.x_range_mm, shares[1] * scene.theta_range_deg)
         job = job_in(world, name, len(todo), start, seed * 1_000_000 + len(todo), late_s=late_s.get(world.name))
         job["condition"] = f"{world.name}: {wrong}"
@@ -76,17 +74,6 @@ def tasks(
             job["unstated"] |= given
         todo.append(Task(models, job))
     return todo
-
-
-def _can_be_played(world: World, objects: Mapping[str, Scene], late_s: Mapping[str, float | None]) -> bool:
-    """Whether some object can be inserted there."""
-    if late_s.get(world.name, 0.0) is None:
-        return False
-    for scene in objects.values():
-        with contextlib.suppress(SceneError):
-            world.around(scene)
-            return True
-    return False
 
 
 def _fault(rng: np.random.Generator) -> tuple[str, Fault | Mapping[str, Any]]:
@@ -109,7 +96,7 @@ def figures(rows: Sequence[Row]) -> Row:
     return {
         "insertions": len(rows),
         "claimed": sum(row["claimed"] for row in rows),
-        "claimed_wrongly": sum(row["claimed"] and not row["inserted"] for row in rows),
+        "claimed_wrongly": sum(map(claimed_wrongly, rows)),
         "inserted": sum(row["inserted"] for row in rows),
         "good_refused": sum(row["in_gap"] and not row["claimed"] for row in rows),
         "void": sum(row["void"] for row in rows),
@@ -128,7 +115,7 @@ def report_of(rows: Sequence[Row], late: Sequence[Row], setup: Mapping[str, Any]
         idle = row["fault"] and not row["fault_acted"]
         groups["fault that never came about" if idle else _wrong(row)].append(row)
     reasons = Counter(_short(row["reason"]) for row in rows if row["reason"])
-    untrue = [row for row in rows if row["claimed"] and not row["inserted"]]
+    untrue = filter(claimed_wrongly, rows)
     keys = ("condition", "scene", "index", "seed", "shortfalls")
     return {
         "simulated": True,

@@ -42,21 +42,23 @@ def identify_page(data: Row) -> str:
 
         Cells of the bristle tier, the coverage furthest from 90 % first:
         """,
-        table(sorted(_rows(own), key=lambda row: -abs(row["holds"].value - 0.9)), *_COLUMNS),
-        *_others(other),
+        _table(own),
+        *((f"{len(other)} cells of the layer tier, sorted likewise:", _table(other)) if other else ()),
         _refused(data["rows"]),
         data["note"],
         "`make identify` plays the cells again and writes this page.",
     )
 
 
-_COLUMNS = (
-    ("parameter", "parameter"),
-    ("90 % coverage", "holds", ".0%"),
-    ("median width", "width", ".0%"),
-    ("max width", "widest", ".0%"),
-    ("cells that learn it", "known", ".0%"),
-)
+def _table(cells: Sequence[Row]) -> Table:
+    return table(
+        sorted(_rows(cells), key=lambda row: -abs(row["holds"].value - 0.9)),
+        ("parameter", "parameter"),
+        ("90 % coverage", "holds", ".0%"),
+        ("median width", "width", ".0%"),
+        ("max width", "widest", ".0%"),
+        ("cells that learn it", "known", ".0%"),
+    )
 
 
 def _rows(cells: Sequence[Row]) -> list[Row]:
@@ -76,15 +78,6 @@ def _rows(cells: Sequence[Row]) -> list[Row]:
             }
         )
     return rows
-
-
-def _others(other: Sequence[Row]) -> Sequence[str | Table]:
-    if not other:
-        return ()
-    return (
-        f"{len(other)} cells of the layer tier, sorted likewise:",
-        table(sorted(_rows(other), key=lambda row: -abs(row["holds"].value - 0.9)), *_COLUMNS),
-    )
 
 
 def _conclusion(own: Sequence[Row], other: Sequence[Row]) -> str:

@@ -167,9 +167,9 @@ def fit(numbers: Floats, truth: Floats, kinds: NDArray[np.str_], about: Mapping[
     axes = turned[:AXES].T / sizes[:AXES] * math.sqrt(len(numbers))
     features = _expanded(scaled)
     folds = np.random.default_rng(seed).permutation(len(numbers)) % FOLDS
-    off = _held_out(features, truth, folds, truth)
+    off = _held_out(features, truth, folds)
     size = np.log(np.abs(off) + 0.02)
-    ratio = np.abs(off) / _size(size - _held_out(features, size, folds, size))
+    ratio = np.abs(off) / _size(size - _held_out(features, size, folds))
     counts = {str(kind): int((kinds == kind).sum()) for kind in np.unique(kinds)}
     ranks = {kind: min(1.0, LEVEL * (1.0 + 1.0 / count)) for kind, count in counts.items() if kind != UNCALIBRATED}
     reach = np.max([np.quantile(ratio[kinds == kind], rank, axis=0) for kind, rank in ranks.items()], axis=0)
@@ -179,12 +179,12 @@ def fit(numbers: Floats, truth: Floats, kinds: NDArray[np.str_], about: Mapping[
     return Posterior(middle, spread, axes, _ridge(features, truth), _ridge(features, size), reach, prior, about)
 
 
-def _held_out(features: Floats, wanted: Floats, folds: NDArray[np.int64], against: Floats) -> Floats:
-    """``against`` minus the ridge's prediction for each fold from the others."""
+def _held_out(features: Floats, wanted: Floats, folds: NDArray[np.int64]) -> Floats:
+    """``wanted`` minus the ridge's prediction for each fold from the others."""
     out = np.empty_like(wanted)
     for fold in range(FOLDS):
         held = folds == fold
-        out[held] = against[held] - features[held] @ _ridge(features[~held], wanted[~held])
+        out[held] = wanted[held] - features[held] @ _ridge(features[~held], wanted[~held])
     return out
 
 

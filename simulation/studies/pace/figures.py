@@ -1,5 +1,6 @@
 """What the figures of the page show: seconds a box, decisions, builds and physics, each against what it costs."""
 
+from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 
 from reporting.statistics import Estimate, wilson
@@ -30,7 +31,7 @@ def _boxes(data: Row, front: AbstractSet[str]) -> list[Panel]:
     def series(y: str) -> list[Series]:
         def mark(point: Row) -> Mark:
             share = wilson(point["inserted"], count)
-            up = Estimate(*point["force_95_n"]) if y == "force" else Estimate(*(100 * value for value in share))
+            up = Estimate(*point["force_95_n"]) if y == "force" else _percent(share)
             short = point["name"].split(":")[0]
             return Mark(short, Estimate(*point["seconds_a_box"]), up, point["name"] == SHIPPED)
 
@@ -46,7 +47,7 @@ def _boxes(data: Row, front: AbstractSet[str]) -> list[Panel]:
     ]
 
 
-def _percent(right: list[float]) -> Estimate:
+def _percent(right: Sequence[float]) -> Estimate:
     return Estimate(*(100 * value for value in right))
 
 

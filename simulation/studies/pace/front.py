@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from reporting.statistics import Estimate, mean
-from simulation.closed_loop.statistics import Row
+from simulation.closed_loop.statistics import Row, claimed_wrongly
 from simulation.studies.pace.points import Point
 from simulation.studies.pace.resampled import faster
 
@@ -33,12 +33,8 @@ def _gains(rows: Sequence[Row], other: Sequence[Row]) -> list[Estimate]:
     return [
         mean([theirs["course"]["force_n"] - mine["course"]["force_n"] for mine, theirs in pairs]),
         mean([float(mine["inserted"]) - float(theirs["inserted"]) for mine, theirs in pairs]),
-        mean([float(_untrue(theirs)) - float(_untrue(mine)) for mine, theirs in pairs]),
+        mean([float(claimed_wrongly(theirs)) - float(claimed_wrongly(mine)) for mine, theirs in pairs]),
     ]
-
-
-def _untrue(row: Row) -> bool:
-    return bool(row["claimed"] and not row["inserted"])
 
 
 def _sign(gain: Estimate, none: float) -> int:

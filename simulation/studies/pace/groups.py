@@ -41,7 +41,7 @@ def groups(rows: Sequence[Row]) -> list[Row]:
 def _thirds(quantity: Quantity, rows: Sequence[Row], scenes: Sequence[Scene]) -> list[Row]:
     values = np.array([quantity.of(scene) for scene in scenes])
     edges = np.quantile(values, np.linspace(0.0, 1.0, PARTS + 1))
-    place = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, PARTS - 1)
+    place = np.digitize(values, edges[1:-1])
     bounds = [f"{low:{quantity.spec}} to {high:{quantity.spec}}" for low, high in pairwise(edges)]
     return [
         _group(quantity.name, name, rows, place == part) for part, name in enumerate(bounds) if (place == part).any()

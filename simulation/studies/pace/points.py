@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from service.contract.wire import PRESS_MM
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.client import longest_travel_mm
-from simulation.closed_loop.job import Who, job_in
+from simulation.closed_loop.job import Who
 from simulation.scene.drawn import fastest_mm_s
 from simulation.scene.scene import APPROACH_MM
 from simulation.scene.worlds import World, load_scene
@@ -95,11 +95,8 @@ def tasks(points: Sequence[Point], begun: Sequence[Start], seed: int, models: Pa
     return [
         Task(
             models / point.networks,
-            job_in(
-                start.world,
-                start.scene,
+            start.job(
                 index,
-                (start.x_mm, start.theta_deg),
                 seed * 1_000_000 + index,
                 controller=point.controller,
                 condition=point.name,

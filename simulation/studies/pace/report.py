@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from reporting.page import page, publish
 from reporting.statistics import Estimate, mean, number
-from simulation.closed_loop.statistics import Row
+from simulation.closed_loop.statistics import Row, claimed_wrongly
 from simulation.studies.pace.figures import EARLY, figures
 from simulation.studies.pace.front import beaten_by, front
 from simulation.studies.pace.groups import groups
@@ -58,8 +58,8 @@ def _point(point: Point, rows: Sequence[Row], first: Sequence[Row]) -> Row:
         "inserted": sum(row["inserted"] for row in rows),
         "gained": sum(row["inserted"] > before["inserted"] for row, before in zip(rows, first, strict=True)),
         "lost": sum(row["inserted"] < before["inserted"] for row, before in zip(rows, first, strict=True)),
-        "claimed_wrongly": sum(row["claimed"] and not row["inserted"] for row in rows),
-        "untrue": [[row["index"], *row["shortfalls"]] for row in rows if row["claimed"] and not row["inserted"]],
+        "claimed_wrongly": sum(map(claimed_wrongly, rows)),
+        "untrue": [[row["index"], *row["shortfalls"]] for row in filter(claimed_wrongly, rows)],
         "attempts": float(np.mean([row["attempts"] for row in rows])),
         "trips": float(np.mean([row["grasps"] - 1 for row in rows])),
         "seconds_a_box": list(a_box(rows)),

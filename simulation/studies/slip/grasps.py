@@ -12,10 +12,10 @@ from reporting.page import page
 from reporting.statistics import wilson
 from reporting.table import table
 from simulation.studies.slip import witness
+from simulation.studies.slip.witness import AHEAD_N
 
 Row = Mapping[str, Any]
 NEAR_N = 3  # frames within which a loss has to be detected
-AHEAD_N = 5  # frames before the loss by which a slide has to be detected
 
 
 def figures(rows: Sequence[Row], labels: Row, evidence: Row) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from simulation.data.probe import ONSET_MM
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.randomisation import randomised
 from simulation.scene.scene import Scene
@@ -21,7 +22,6 @@ from simulation.scene.worlds import load_scene, object_names
 Kind = Literal["slip", "hold", "free"]
 Label = Literal["slip", "none", "between"]
 NO_SLIP_SHARE = 0.10
-ONSET_MM = 0.02
 REST_N, AFTER_SLIP_N, STILL_N, MAX_FRAMES = 5, 6, 8, 40
 DEPTH_MM = 25.0
 

@@ -8,10 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from simulation.closed_loop.benchmark import first_answers
+from simulation.closed_loop.benchmark import figures
 from simulation.closed_loop.campaign import Task
-from simulation.closed_loop.job import job_in
-from simulation.closed_loop.statistics import Row, ends
+from simulation.closed_loop.statistics import Row
 from simulation.scene import drawn
 from simulation.scene.worlds import load_scene
 from simulation.studies.drawn_worlds import Start, starts
@@ -91,9 +90,8 @@ def tasks(sealed: str, models: Path, begun: Sequence[Opened], cell: str) -> list
 def _job(seed: int, index: int, start: Start, cell: str) -> dict[str, Any]:
     fields = FOREIGN if cell == WITNESS else BESIDE[cell]
     changes = {**start.world.changes, **({} if fields else {"gel.tier": cell})}
-    at, title = (start.x_mm, start.theta_deg), f"{start.world.name}: {cell}"
-    options = {"condition": title, "changes": changes, "cell": "", **fields}
-    return job_in(start.world, start.scene, index, at, seed, **options)
+    more = {"condition": f"{start.world.name}: {cell}", "changes": changes, "cell": "", **fields}
+    return start.job(index, seed, **more)
 
 
 def report_of(played: Mapping[str, Sequence[Row]], begun: Sequence[Opened], setup: Row) -> Row:
@@ -122,8 +120,7 @@ def table_of(played: Mapping[str, Sequence[Row]], begun: Sequence[Opened]) -> li
 def _figures(cell: str, rows: Sequence[Row], families: Sequence[str]) -> Iterator[Row]:
     for family in ("all", *(FAMILIES if cell == WITNESS else ())):
         mine = [row for row, of in zip(rows, families, strict=False) if family in ("all", of)]
-        yield {"cell": cell, "family": family, **ends(mine), **first_answers(mine),
-               "worst_force_n": max(row["course"]["force_n"] for row in mine)}  # fmt: skip
+        yield {"cell": cell, "family": family, **figures(mine)}
 
 
 def _compact(row: Row, each: Opened) -> Row:
