@@ -70,11 +70,11 @@ def benchmark(
         alexnet: folder of the paper's exported networks; created with random weights if absent.
     """
     from export.bench.benchmark import benchmark as measure
-    from export.onnx.decisions import read_split
+    from export.onnx.decisions import read_validation
 
     _positive(seconds=seconds)
     files = models or [file for file in sorted(Path("models").rglob("*.onnx")) if "/." not in str(file)]
-    recorded = list(read_split(str(data), "validation", decisions)) if data is not None else []
+    recorded = list(read_validation(str(data), decisions)) if data is not None else []
     measure(files, seconds=seconds, docs=docs, decisions=recorded, alexnet=alexnet, int8=int8)
     print(f"{docs / 'benchmark.md'}")
 

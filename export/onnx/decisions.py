@@ -12,9 +12,9 @@ from export.onnx.model import Arrays, Model, geometry_inputs
 from export.onnx.model import steps as stepped
 from service.contract import ContractError, ModelCard, Sensor
 from service.perception.markers.sequence import track_pairs
-from training.data.dataset import SPLITS, open_source
+from training.data.dataset import open_source
+from training.networks.settings import FRAMES_PER_DECISION
 
-FRAMES = 8
 GAIN = 0.7
 """Where class and estimate agree, the command is minus this factor times the estimate."""
 
@@ -47,33 +47,20 @@ def command(card: ModelCard, outputs: Arrays) -> NDArray[np.float64]:
     return np.asarray(np.where(signs == 0, -0.3 * error, stepped), np.float64)
 
 
-def read_split(path: str, split: str, count: int) -> Iterator[Decision]:
-    """``count`` collisions spread over a split of a dataset, drawn one at a time on demand.
-
-    Raises ContractError at once on an unknown split or a ``count`` below 1, and on drawing if the split has no
-    collision.
-    """
-    if split not in SPLITS:
-        raise ContractError(f"no split {split!r}, expected one of {', '.join(SPLITS)}")
+def read_validation(path: str, count: int) -> Iterator[Decision]:
+    """``count`` collisions spread over the validation split of a dataset; ContractError if it has none."""
     if count < 1:
         raise ContractError(f"--decisions {count}: expected at least 1")
-    return _drawn(path, split, count)
-
-
-def _drawn(path: str, split: str, count: int) -> Iterator[Decision]:
     source = open_source(path)
-    inside = [index for index in range(len(source)) if _collided(source.trial(index), split)]
+    kinds = [(trial.split, trial.outcome) for trial in map(source.trial, range(len(source)))]
+    inside = [index for index, kind in enumerate(kinds) if kind == ("validation", "blocked")]
     if not inside:
-        raise ContractError(f"the dataset {path} has no collision in its split {split}")
+        raise ContractError(f"the dataset {path} has no collision in its validation split")
     for place in np.linspace(0, len(inside) - 1, min(count, len(inside))).astype(int):
         trial = source.trial(inside[place])
-        frames = source.frames(inside[place], int(trial.onset_frame), FRAMES)
+        frames = source.frames(inside[place], int(trial.onset_frame), FRAMES_PER_DECISION)
         geometry_mm = float(trial.gap_width_mm), float(trial.grasp_height_mm)
         yield Decision(frames, *geometry_mm, source.manifest.sensor)
-
-
-def _collided(trial: object, split: str) -> bool:
-    return getattr(trial, "split", "") == split and getattr(trial, "outcome", "") == "blocked"
 
 
 def steps(model: Model, decisions: Sequence[Decision]) -> Iterator[Arrays]:

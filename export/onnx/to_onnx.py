@@ -16,7 +16,7 @@ from onnxscript import opset18 as op
 from torch import nn
 
 from export.onnx.golden import golden_frames, golden_markers
-from export.onnx.model import OUTPUTS, open_model
+from export.onnx.model import OUTPUTS, TOLERANCE, open_model
 from export.onnx.runtime import session
 from export.onnx.verify import verify_forms
 from reporting.machine import cpu_name
@@ -30,8 +30,8 @@ from training.networks.forms import SequenceForm, StepForm
 from training.networks.preprocessing import CHANNELS, selector
 from training.networks.settings import FRAMES_PER_DECISION
 
-TOLERANCE, STATE_TOLERANCE = 1e-5, 1e-4
-"""Tolerances of the outputs, and of the state that only the next step reads: torch itself rounds it by up to 1e-5."""
+STATE_TOLERANCE = 1e-4
+"""Tolerance of the state that only the next step reads: torch itself rounds it by up to 1e-5."""
 IR, OPSET = 8, 18  # onnxruntime 1.17 and later read them; the graphs need no newer form
 FLOAT = onnx.TensorProto.FLOAT
 LARGEST_SHARED = 10**7

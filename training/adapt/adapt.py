@@ -29,7 +29,7 @@ from training.config import DataConfig
 from training.data.episodes import LATER, PROBE, read_episodes
 from training.data.pressed import Pressed, load_pressed
 from training.fit.checkpoint import AS_TRAINED, OWN, Checkpoint
-from training.metrics.figures import Predictions, Scales, figures
+from training.metrics.figures import Predictions, Scales, figures, joined
 from training.metrics.joint import Densities
 
 FEWEST = 20
@@ -173,9 +173,7 @@ def _fair(stage: StageName, scales: Scales, predictions: Predictions | Densities
     for held in folds:
         mine = np.isin(np.arange(len(predictions.truth)), held)
         parts.append(predictions.take(mine).rescaled(calibrated(stage, scales, predictions.take(~mine))))
-    back = np.argsort(np.concatenate([np.sort(held) for held in folds]))
-    joined = {name: np.concatenate([getattr(part, name) for part in parts])[back] for name in Predictions.__slots__}
-    return Predictions(**joined)
+    return joined(parts, [np.sort(held) for held in folds])
 
 
 def _fitted(

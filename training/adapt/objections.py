@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from reporting.statistics import wilson
 from training.adapt.stages import StageName
-from training.data.labels import class_of
 from training.metrics.figures import Z90, Predictions, probabilities
 
 DRAWS = 2000
@@ -29,7 +28,7 @@ def chances(stages: tuple[StageName, ...], probes_n: int) -> dict[StageName, flo
 
 def losses(predictions: Predictions) -> NDArray[np.float64]:
     """[N]: negative log likelihood of class and error."""
-    labels = class_of(predictions.truth.astype(np.float32))
+    labels = predictions.labels
     p = probabilities(predictions.logits, 1.0)[np.arange(len(labels)), labels]
     z = (predictions.error - predictions.truth) / np.exp(predictions.log_sigma)
     return np.asarray(-np.log(np.maximum(p, 1e-12)) + (0.5 * z**2 + predictions.log_sigma).mean(1), np.float64)
@@ -41,7 +40,7 @@ def to_gain(
     """Objections to a network that claims a gain: by a paired bootstrap over fixtures, each count by its mean."""
     fixtures = np.unique(groups, return_inverse=True)[1]
     counts: dict[str, Callable[[Predictions], NDArray[np.float64]]] = {
-        "direction": lambda one: (one.logits.argmax(1) != class_of(one.truth.astype(np.float32))).astype(np.float64),
+        "direction": lambda one: (~one.right).astype(np.float64),
         "error in x": lambda one: np.abs(one.error - one.truth)[:, 0],
         "error in yaw": lambda one: np.abs(one.error - one.truth)[:, 1],
     }

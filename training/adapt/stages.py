@@ -17,7 +17,7 @@ from training.data.labels import CLASSES
 from training.data.pressed import Pressed
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import Trainer
-from training.metrics.figures import Predictions, Scales
+from training.metrics.figures import Predictions, Scales, joined
 from training.metrics.joint import Densities
 from training.networks.decider import ERROR_SCALE, Decider
 
@@ -30,7 +30,6 @@ MOST_EPOCHS, SAMPLES_N = 60, 9000
 """Epochs with few samples, and total passes over samples with many; at least 18 epochs."""
 FOLDS = 5
 BATCH, RATE = 32, 1e-3
-_OF_DENSITIES = ("log_density", "truth", "objects")
 
 
 def trainer_of(network: Decider, samples: Pressed) -> Trainer:
@@ -47,17 +46,13 @@ def held_out(
         trainer = trainer_of(fit_around(release, presses, seed), samples)
         rows = np.arange(len(samples))
         return trainer.predict(rows, pictures=False), trainer.predict_density(rows, pictures=False)
-    parts, densities, order = [], [], []
-    for held in folds_of(samples.groups, seed):
+    parts, densities, folds = [], [], folds_of(samples.groups, seed)
+    for held in folds:
         others = np.setdiff1d(np.arange(len(samples)), held)
         trainer = trainer_of(fit_stage(stage, release, samples, others, seed), samples)
         parts.append(trainer.predict(held, pictures=False))
         densities.append(trainer.predict_density(held, pictures=False))
-        order.append(held)
-    back = np.argsort(np.concatenate(order))
-    pair = {name: np.concatenate([getattr(one, name) for one in parts])[back] for name in Predictions.__slots__}
-    joint = {name: np.concatenate([getattr(one, name) for one in densities])[back] for name in _OF_DENSITIES}
-    return Predictions(**pair), Densities(**joint)
+    return joined(parts, folds), joined(densities, folds)
 
 
 def folds_of(groups: NDArray[np.str_], seed: int) -> list[Rows]:

@@ -51,7 +51,6 @@ class Checkpoint:
     run: dict[str, JsonValue] = field(default_factory=dict)
     """Settings of its training run."""
     sensor: Sensor = field(default_factory=Sensor.load)
-    """Hash of its training data."""
     pressing: Pressing | None = None
     """For networks that read steps of depth: how they read them."""
     expectations: Expectations = field(default_factory=Expectations)

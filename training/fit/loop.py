@@ -4,7 +4,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -145,11 +145,7 @@ def _save(path: Path, network: nn.Module, optimiser: Optimizer, schedule: Lambda
             "network": network.state_dict(),
             "optimiser": optimiser.state_dict(),
             "schedule": {"last_epoch": schedule.last_epoch},
-            "epoch": at.epoch,
-            "best": at.best,
-            "best_epoch": at.best_epoch,
-            "best_state": at.best_state,
-            "minutes": at.minutes,
+            **vars(at),
         },
     )
 
@@ -165,6 +161,6 @@ def _resume(path: Path, network: nn.Module, optimiser: Optimizer, schedule: Lamb
         network.load_state_dict(stored["network"])
         optimiser.load_state_dict(stored["optimiser"])  # restores its learning rate, too
         schedule.last_epoch = stored["schedule"]["last_epoch"]
-        return _Progressed(**{name: stored[name] for name in ("epoch", "best", "best_epoch", "best_state", "minutes")})
+        return _Progressed(**{one.name: stored[one.name] for one in fields(_Progressed)})
     except (RuntimeError, KeyError, ValueError) as error:
         raise ContractError(f"{path} holds another architecture, expected this run's") from error

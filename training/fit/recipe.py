@@ -5,7 +5,7 @@ difference frame to the gel's motion). Their features are computed once and cach
 LSTM are then trained with Adam. Classes 7 and 8 are doubled with random crops, as in the paper.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -120,15 +120,13 @@ def _field_examples(source: Source, table: dict[str, NDArray[Any]], trial: int, 
 # ---- heads ---------------------------------------------------------------------------------------------------------
 
 
-def head_stage(
-    role: str,
-    settings: StageConfig,
-    network: AlexNetLstm,
-    rows: Rows,
-    read: Callable[[NDArray[np.int64]], Tensor],
-    parameters: list[nn.Parameter],
-) -> Stage:
-    """Train ``parameters`` on the final states [B, 340] that ``read`` gives for rows: on classes, or on errors."""
+def _fit_heads(config: RecipeConfig, role: str, network: AlexNetLstm, rows: Rows) -> None:
+    """Train all layers after the frozen convolutions, on classes or on errors."""
+    for parameter in network.alexnet.features.parameters():
+        parameter.requires_grad = False
+    parts = (network.alexnet.classifier, network.lstm, network.output)
+    parameters = [parameter for part in parts for parameter in part.parameters()]
+    settings: StageConfig = getattr(config, role)
     train, held = rows.of("train"), rows.of("validation")
     labels = torch.from_numpy(class_of(rows.error)).to(network.device)
     errors = torch.from_numpy(rows.error).to(network.device)
@@ -139,7 +137,7 @@ def head_stage(
             yield order[start : start + settings.batch]
 
     def loss(chosen: NDArray[np.int64]) -> Tensor:
-        state = read(chosen)
+        state = network.read(_batch(rows, chosen).to(network.device))
         if role == "direction":
             return functional.cross_entropy(network.logits(state), labels[chosen])
         return (network.error(state)[0] - errors[chosen]).square().mean()
@@ -148,20 +146,7 @@ def head_stage(
         losses = [float(loss(part)) * len(part) for part in np.array_split(held, -(-len(held) // 32))]
         return {"score": sum(losses) / len(held)}
 
-    return Stage(role, settings, parameters, batches, -(-len(train) // settings.batch), loss, validate)
-
-
-def _fit_heads(config: RecipeConfig, role: str, network: AlexNetLstm, rows: Rows) -> None:
-    """Train all layers after the frozen convolutions."""
-    for parameter in network.alexnet.features.parameters():
-        parameter.requires_grad = False
-    parts = (network.alexnet.classifier, network.lstm, network.output)
-    parameters = [parameter for part in parts for parameter in part.parameters()]
-
-    def read(chosen: NDArray[np.int64]) -> Tensor:
-        return network.read(_batch(rows, chosen).to(network.device))
-
-    stage = head_stage(role, getattr(config, role), network, rows, read, parameters)
+    stage = Stage(role, settings, parameters, batches, -(-len(train) // settings.batch), loss, validate)
     print(role, fit(network, stage, config.folder, config.seed))
 
 

@@ -1,9 +1,9 @@
 """Quality of the decisions: accuracy, calibration, errors, each with its sample size."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,9 @@ class Scales:
 
 
 class Sample(Protocol):
-    """A network's raw outputs for some trials, before calibration."""
+    """A network's raw outputs for some trials, before calibration: a dataclass of arrays over them."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def take(self, chosen: NDArray[np.bool_]) -> Self:
         """The chosen trials."""
@@ -54,6 +56,16 @@ class Predictions:
             if not np.isfinite(getattr(self, name)).all():
                 raise ContractError(f"{name} of some predictions: not finite, their network has diverged")
 
+    @property
+    def labels(self) -> NDArray[np.int64]:
+        """True class of each trial, [N]."""
+        return class_of(self.truth.astype(np.float32))
+
+    @property
+    def right(self) -> NDArray[np.bool_]:
+        """Whether the likeliest class is the true one, [N]."""
+        return np.asarray(self.logits.argmax(1) == self.labels)
+
     def take(self, chosen: NDArray[np.bool_]) -> Self:
         return replace(self, **{name: getattr(self, name)[chosen] for name in self.__slots__})
 
@@ -63,7 +75,7 @@ class Predictions:
         That is the error of rank ceil(0.9 (N + 1)), the bound of split conformal prediction (Vovk et al. 2005): the
         plain quantile of 20 errors holds only 86 % of further ones.
         """
-        labels = class_of(self.truth.astype(np.float32))
+        labels = self.labels
         grid = np.exp(np.linspace(np.log(0.3), np.log(5.0), 141))
         losses = [_nll(probabilities(self.logits, t), labels) for t in grid]
         z = np.abs(self.error - self.truth) / np.exp(self.log_sigma)
@@ -84,6 +96,16 @@ def probabilities(logits: NDArray[np.float64], temperature: float) -> NDArray[np
     return normalised
 
 
+Part = TypeVar("Part", bound=Sample)
+
+
+def joined(parts: Sequence[Part], rows: Sequence[NDArray[np.int64]]) -> Part:
+    """All trials of the parts of a sample, in the order of their ``rows`` [n] in the whole."""
+    back = np.argsort(np.concatenate(rows))
+    names = [field.name for field in fields(parts[0])]
+    return replace(parts[0], **{name: np.concatenate([getattr(part, name) for part in parts])[back] for name in names})
+
+
 def cross_calibrated(sample: Sample, groups: NDArray[np.str_]) -> Predictions:
     """Each half of the groups calibrated on the other half: no trial is scored by a fit that included it."""
     names = np.unique(groups)
@@ -92,9 +114,7 @@ def cross_calibrated(sample: Sample, groups: NDArray[np.str_]) -> Predictions:
     half = np.isin(groups, names[::2])
     one, other = sample.take(half), sample.take(~half)
     parts = one.rescaled(other.calibration()), other.rescaled(one.calibration())
-    order = np.argsort(np.concatenate([np.flatnonzero(half), np.flatnonzero(~half)]))
-    joined = {name: np.concatenate([getattr(part, name) for part in parts])[order] for name in Predictions.__slots__}
-    return Predictions(**joined)
+    return joined(parts, (np.flatnonzero(half), np.flatnonzero(~half)))
 
 
 def by_split(samples: Mapping[str, tuple[Sample, NDArray[np.str_]]], scales: Scales) -> dict[str, dict[str, float]]:
@@ -131,7 +151,7 @@ def expected_calibration_error(p: NDArray[np.float64], labels: NDArray[np.int64]
 
 def figures(predictions: Predictions) -> dict[str, float]:
     """Every figure of one sample of calibrated predictions; shares in [0, 1], errors in mm and deg."""
-    labels = class_of(predictions.truth.astype(np.float32))
+    labels = predictions.labels
     p = probabilities(predictions.logits, 1.0)
     chosen = p.argmax(1)
     right = chosen == labels

@@ -11,7 +11,6 @@ from reporting.statistics import Estimate, mean, wilson
 from reporting.table import Table, table
 from training.data.dataset import Source
 from training.data.descents import WIDEST_SPACING_MM, speed_of
-from training.data.labels import class_of
 from training.data.pressed import Pressed, table_of
 from training.fit.train import Trainer
 from training.metrics.figures import Predictions, Scales, figures
@@ -34,7 +33,7 @@ def by_camera(trainer: Trainer, scales: Scales, source: Source) -> list[Row]:
     rows, first = list[Row](), None
     for fps in RATES_FPS if len(slow) else ():
         predictions = _read(trainer, scales, source, slow, fps)
-        right = _right(predictions).astype(float)
+        right = predictions.right.astype(float)
         first = right if first is None else first
         rows.append(_row(f"{fps:.0f} frames/s", predictions, mean((right - first).tolist())))
     for name, (low, high) in SPEEDS_MM_S.items():
@@ -61,10 +60,6 @@ def _read(trainer: Trainer, scales: Scales, source: Source, chosen: NDArray[np.i
     assert isinstance(held, Pressed)
     presses = replace(held, **table_of(source, chosen.tolist(), 1, fps))
     return replace(trainer, trials=presses).predict(np.arange(len(presses)), pictures=False).rescaled(scales)
-
-
-def _right(predictions: Predictions) -> NDArray[np.bool_]:
-    return np.asarray(predictions.logits.argmax(1) == class_of(predictions.truth.astype(np.float32)))
 
 
 def _row(name: str, predictions: Predictions, gained: Estimate | None = None) -> Row:

@@ -14,10 +14,10 @@ from reporting.page import page, publish
 from reporting.statistics import number, wilson
 from reporting.table import Table, table
 from service.contract import ContractError
+from training.adapt.stages import trainer_of
 from training.config import RunConfig
 from training.data.dataset import open_source
 from training.data.faults import SHIFTS
-from training.data.labels import CLASSES
 from training.data.pressed import Pressed
 from training.data.reading import decisions, load
 from training.fit.checkpoint import Checkpoint
@@ -48,7 +48,7 @@ def write_depths(run: Path, out: Path) -> Path:
     samples = load(config.data, config.network.kind)
     if not isinstance(samples, Pressed):
         raise ContractError(f"{run} holds a {config.network.kind} network, expected one that reads steps of depth")
-    trainer = Trainer(config, samples, checkpoint.build(), torch.ones(len(CLASSES)), torch.zeros(2, 3))
+    trainer = trainer_of(checkpoint.build(), samples)
     data: dict[str, Any] = {"depths": by_depth(trainer, checkpoint), "sure": by_sureness(trainer, checkpoint)}
     data["reach"] = by_reach(trainer, checkpoint)
     limit = oracle_rows(open_source(config.data.path), run / "oracle")
@@ -134,7 +134,7 @@ def by_reach(trainer: Trainer, checkpoint: Checkpoint) -> Rows:
         return {}
     edges = np.quantile(reach_mm, np.linspace(0, 1, DECILES + 1))
     predictions = trainer.predict(chosen, pictures=False).rescaled(checkpoint.scales)
-    place = np.clip(np.searchsorted(edges, reach_mm, side="right") - 1, 0, DECILES - 1)
+    place = np.digitize(reach_mm, edges[1:-1])
     return {
         f"{edges[decile]:.2f} .. {edges[decile + 1]:.2f} mm": figures(predictions.take(place == decile))
         for decile in range(DECILES)

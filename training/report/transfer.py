@@ -2,11 +2,11 @@
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
@@ -15,14 +15,13 @@ from reporting.page import page, publish
 from reporting.statistics import Estimate, mean, wilson
 from reporting.table import Table, table
 from service.contract import ContractError
-from service.contract.frames import Contract
+from service.contract.frames import Contract, first_error
 from service.contract.toml import read_toml
 from service.contract.wire import PRESS_MM
-from training.config import DataConfig, RunConfig, StageConfig
-from training.data.labels import CLASSES, class_of
+from training.adapt.stages import trainer_of
+from training.config import DataConfig
 from training.data.pressed import Pressed, load_pressed
 from training.fit.checkpoint import Checkpoint
-from training.fit.train import Trainer
 from training.metrics.figures import Predictions, figures
 from training.networks.pressing import STEP_MM
 
@@ -62,8 +61,7 @@ def write_transfer(plan: Path, out: Path) -> Path:
     try:
         comparison = Comparison.model_validate_json(json.dumps(read_toml(plan)))
     except ValidationError as error:
-        first = error.errors()[0]
-        raise ContractError(f"{plan}: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+        raise ContractError(f"{plan}: {first_error(error)}") from error
     presses_of = {
         test_set.name: load_pressed(DataConfig(path=test_set.data, views=1)) for test_set in comparison.test_sets
     }
@@ -88,7 +86,7 @@ def _tested(trained: Sequence[Trained], name: str, presses: Pressed) -> Iterator
     first: NDArray[np.bool_] | None = None
     for one in trained:
         predictions = predicted(Checkpoint.load(Path(one.checkpoint)), presses)
-        right = predictions.logits.argmax(1) == class_of(predictions.truth.astype(np.float32))
+        right = predictions.right
         first = right if first is None else first
         yield {
             "tested_on": name,
@@ -102,10 +100,7 @@ def _tested(trained: Sequence[Trained], name: str, presses: Pressed) -> Iterator
 
 def predicted(checkpoint: Checkpoint, presses: Pressed) -> Predictions:
     """Calibrated predictions of all presses, read as deep as the software presses."""
-    idle = StageConfig(epochs=0)
-    config = RunConfig(name=NAME, data=DataConfig(path=NAME), network=checkpoint.network, trunk=idle)
-    untrained = torch.ones(len(CLASSES)), torch.zeros(2, 3)
-    trainer = Trainer(config, presses, checkpoint.build(), *untrained, most_steps=round(PRESS_MM / STEP_MM))
+    trainer = replace(trainer_of(checkpoint.build(), presses), most_steps=round(PRESS_MM / STEP_MM))
     return trainer.predict(np.arange(len(presses)), pictures=False).rescaled(checkpoint.scales)
 
 
