@@ -63,7 +63,7 @@ def lines(options: DemoOptions, folder: Path) -> Iterator[str]:
 
 
 def _port(wanted: int) -> int:
-    """The requested port, a free one where that is taken, or 0."""
+    """The requested port, or a free one where that is taken or 0."""
     try:
         with bind_tcp(wanted, "the page") as bound:
             return port_of(bound)

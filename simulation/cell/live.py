@@ -38,8 +38,9 @@ from simulation.cell.emulators.wsg50 import Wsg50Emulator
 from simulation.cell.emulators.wsg50_gripper import Gripper
 from simulation.cell.film import Course
 from simulation.cell.options import CellOptions
-from simulation.cell.world import HeldPart, Mechanics, World
+from simulation.cell.world import HeldPart, World
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM
+from simulation.scene.state import Cell
 
 LIFT_MM = 10.0  # height of the start above the approach pose
 TRACE_N = 30_000  # TCP heights, 250 per second: two minutes
@@ -48,7 +49,7 @@ TRACE_N = 30_000  # TCP heights, 250 per second: two minutes
 class Plant(NamedTuple):
     """The models behind the devices: physics, optics, and the numbers that a client needs."""
 
-    mechanics: Mechanics
+    mechanics: Cell
     regrasp: Callable[[float, int], Pose]  # (grip force, number of the object) -> pose of the TCP afterwards
     draw: dict[str, Draw]
     start: Pose  # TCP at the approach pose

@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,34 +18,11 @@ from numpy.typing import NDArray
 from service.contract import Sensor
 from simulation.cell.emulators.abb.motion import Pose
 from simulation.physics.inertia import duration_s
-from simulation.scene.state import CellState
+from simulation.scene.state import Cell, CellState
 
 Gel = NDArray[np.floating[Any]]
 LEAST_PACE_MM_S = 1e-3
 LEAST_TILT_DEG = 0.005  # the arm's own inaccuracy
-
-
-class Mechanics(Protocol):
-    """The simulated cell as the world uses it (``QuasiStaticCell``)."""
-
-    pace_mm_s: float
-    tilt_rad: float
-
-    @property
-    def relaxes(self) -> bool:
-        """Whether anything changes while the hand stands still."""
-
-    def wait(self, time_s: float, /) -> CellState:
-        """Stand still for a while and return the new state."""
-
-    def move_to(self, x_mm: float, y_mm: float, z_mm: float, yaw_deg: float) -> CellState:
-        """Advance the TCP and return the new state."""
-
-    def tilt_to(self, tilt_deg: float) -> CellState:
-        """Tilt the hand about its own y, while the object touches nothing, and return the new state."""
-
-    def look(self) -> CellState:
-        """The state now, also after a move that found no equilibrium."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +49,7 @@ class World:
 
     def __init__(
         self,
-        mechanics: Mechanics,
+        mechanics: Cell,
         regrasp: Callable[[float, int], Pose],
         pose: Callable[[], Pose],
         *,

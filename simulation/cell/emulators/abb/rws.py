@@ -10,7 +10,6 @@ import secrets
 import time
 from collections.abc import Awaitable, Callable
 from typing import Any
-from urllib.parse import parse_qsl
 
 from fastapi import FastAPI, Request, Response, WebSocket
 from starlette.middleware.base import BaseHTTPMiddleware
@@ -27,7 +26,7 @@ from simulation.cell.emulators.abb.rws_format import (
     as_xhtml,
     error_body,
 )
-from simulation.cell.emulators.abb.rws_more import add_more
+from simulation.cell.emulators.abb.rws_more import add_more, form_of
 from simulation.cell.emulators.abb.rws_subscriptions import add_subscriptions
 from simulation.cell.emulators.faults import FaultBoard, take
 
@@ -55,14 +54,6 @@ def _refusal(request: Request, status: int, code: int, text: str) -> Response:
     wants_json = _wants_json(request)
     media = JSON_TYPE if wants_json else XHTML_TYPE
     return Response(error_body(code, text, wants_json=wants_json), status, media_type=media)
-
-
-async def fields(request: Request) -> list[tuple[str, str]]:
-    return parse_qsl((await request.body())[:65536].decode("utf-8", "replace"), keep_blank_values=True)
-
-
-async def _form(request: Request) -> dict[str, str]:
-    return dict(await fields(request))
 
 
 class Gate:
@@ -128,7 +119,7 @@ def create_app(cabinet: Cabinet, frames: CellFrames, gate: Gate) -> FastAPI:
     _add_motion_and_signals(app, cabinet, frames)
     _add_log_and_mastership(app, cabinet)
     add_more(app, _answer)
-    add_subscriptions(app, cabinet, fields, gate.admits)
+    add_subscriptions(app, cabinet, gate.admits)
 
     async def refused(request: Request, error: Exception) -> Response:
         code = error.code if isinstance(error, RefusedError) else BAD_ARGUMENT
@@ -166,13 +157,13 @@ def _add_panel(app: FastAPI, cabinet: Cabinet) -> None:
     @app.post("/rw/panel/ctrlstate")
     async def switch(request: Request) -> Response:
         _expect(request, "setctrlstate")
-        motors(cabinet, await _form(request))
+        motors(cabinet, await form_of(request))
         return _done()
 
     @app.post("/rw/panel/speedratio")
     async def set_speed_ratio(request: Request) -> Response:
         _expect(request, "setspeedratio")
-        speed_ratio(cabinet, await _form(request))
+        speed_ratio(cabinet, await form_of(request))
         return _done()
 
 
@@ -215,7 +206,7 @@ def _add_execution(app: FastAPI, cabinet: Cabinet) -> None:
 
     @app.post("/rw/rapid/execution")
     async def order(request: Request) -> Response:
-        execute(cabinet, _expect(request, "start", "stop", "resetpp"), await _form(request))
+        execute(cabinet, _expect(request, "start", "stop", "resetpp"), await form_of(request))
         return _done()
 
     @app.get("/rw/rapid/tasks")
@@ -240,7 +231,7 @@ def _add_symbols(app: FastAPI, cabinet: Cabinet) -> None:
     @app.post("/rw/rapid/symbol/data/RAPID/{path:path}")
     async def set_symbol(request: Request, path: str) -> Response:
         _expect(request, "set")
-        name, form = path.rsplit("/", 1)[-1], await _form(request)
+        name, form = path.rsplit("/", 1)[-1], await form_of(request)
         if name not in cabinet.symbols:
             raise KeyError(name)
         cabinet.symbols[name] = form["value"]
@@ -271,7 +262,7 @@ def _add_motion_and_signals(app: FastAPI, cabinet: Cabinet, frames: CellFrames) 
     @app.post("/rw/iosystem/signals/{path:path}")
     async def set_signal(request: Request, path: str) -> Response:
         _expect(request, "set")
-        cabinet.set_signal(path.rsplit("/", 1)[-1], (await _form(request)).get("lvalue", ""))
+        cabinet.set_signal(path.rsplit("/", 1)[-1], (await form_of(request)).get("lvalue", ""))
         return _done()
 
 

@@ -46,6 +46,15 @@ class Disk:
         return [State("fs-file", p.rpartition("/")[2], {"fs-size": len(c)}) for p, c in inside.items()]
 
 
+async def fields(request: Request) -> list[tuple[str, str]]:
+    """The fields of a form, in their order."""
+    return parse_qsl((await request.body())[:65536].decode("utf-8", "replace"), keep_blank_values=True)
+
+
+async def form_of(request: Request) -> dict[str, str]:
+    return dict(await fields(request))
+
+
 def add_more(app: FastAPI, answer: Answer) -> None:
     """Add the routes; errors are answered by the app's handlers of KeyError (404) and ValueError (400)."""
     add_core(app, answer)
@@ -88,8 +97,8 @@ def _add_users(app: FastAPI, answer: Answer, media: str) -> None:
 
     @app.get("/users/rmmp/poll")  # user_rmmp_poll_page: nothing to poll without a request
     async def poll(request: Request) -> Response:
-        fields = {"status": "GRANTED"} if asked else {"code": NO_SUCH_REQUEST, "status": "NO SUCH REQUEST"}
-        return answer(request, [State("user-rmmp-poll", "state", fields)])
+        shown = {"status": "GRANTED"} if asked else {"code": NO_SUCH_REQUEST, "status": "NO SUCH REQUEST"}
+        return answer(request, [State("user-rmmp-poll", "state", shown)])
 
 
 def _add_files(app: FastAPI, answer: Answer, media: str) -> None:
@@ -148,7 +157,7 @@ def _add_queues(app: FastAPI, answer: Answer) -> None:
 
     @app.post("/rw/dipc")  # dipc-create
     async def create(request: Request) -> Response:
-        name = _form(await request.body())["dipc-queue-name"]
+        name = (await form_of(request))["dipc-queue-name"]
         if name in queues:
             raise RefusedError(f"the queue {name} exists", QUEUE_EXISTS)
         if len(queues) >= MAX_QUEUES:
@@ -158,7 +167,7 @@ def _add_queues(app: FastAPI, answer: Answer) -> None:
 
     @app.post("/rw/dipc/{name}")  # dipc-send
     async def send(request: Request, name: str) -> Response:
-        form = _form(await request.body())
+        form = await form_of(request)
         keys = ("dipc-data", "dipc-userdef", "dipc-msgtype", "dipc-cmd")
         queues[name].append({key: form[key] for key in keys} | {"queue-name": form["dipc-src-queue-name"]})
         return Response(status_code=204)
@@ -169,7 +178,3 @@ def _add_queues(app: FastAPI, answer: Answer) -> None:
         rows = [State("dipc-read-li", name, message) for message in queues[name]]
         queues[name].clear()
         return answer(request, rows)
-
-
-def _form(body: bytes) -> dict[str, str]:
-    return dict(parse_qsl(body[:65536].decode("utf-8", "replace"), keep_blank_values=True))

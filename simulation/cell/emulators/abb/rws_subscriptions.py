@@ -5,12 +5,13 @@ As on the controller, subscriptions are slow: states are compared every 0.2 s. E
 
 import asyncio
 import itertools
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from typing import NamedTuple
 
 from fastapi import FastAPI, Request, Response, WebSocket, WebSocketDisconnect
 
 from simulation.cell.emulators.abb.cabinet import Cabinet
+from simulation.cell.emulators.abb.rws_more import fields
 
 PROTOCOL = "robapi2_subscription"
 _PERIOD_S = 0.2
@@ -63,8 +64,8 @@ class Subscriptions:
 
     def create(self, form: list[tuple[str, str]]) -> int:
         """Open one for a form's resources (``resources=1&1=PATH&1-p=PRIORITY``); raise KeyError or ValueError."""
-        fields = dict(form)
-        wanted = [fields[number] for key, number in form if key == "resources" and number in fields]
+        named = dict(form)
+        wanted = [named[number] for key, number in form if key == "resources" and number in named]
         if not wanted:
             raise ValueError("a subscription names its resources: resources=1&1=/rw/panel/ctrlstate&1-p=1")
         if len(self._open) >= _MAX_SUBSCRIPTIONS:
@@ -114,7 +115,6 @@ class Subscriptions:
 def add_subscriptions(
     app: FastAPI,
     cabinet: Cabinet,
-    form: Callable[[Request], Awaitable[list[tuple[str, str]]]],
     admits: Callable[[WebSocket], bool],
     protocol: str = PROTOCOL,
 ) -> None:
@@ -123,7 +123,7 @@ def add_subscriptions(
 
     @app.post("/subscription")
     async def subscribe(request: Request) -> Response:
-        number = subscriptions.create(await form(request))
+        number = subscriptions.create(await fields(request))
         scheme = "wss" if request.url.scheme == "https" else "ws"
         url = f"{scheme}://{request.headers.get('host', '')}/poll/{number}"
         body = f'<html><body><div class="state"><a href="{url}" rel="self"></a></div></body></html>'

@@ -16,9 +16,9 @@ from starlette.middleware.base import BaseHTTPMiddleware
 from simulation.cell.emulators.abb import rws_states
 from simulation.cell.emulators.abb.cabinet import Cabinet, RefusedError
 from simulation.cell.emulators.abb.frames import CellFrames
-from simulation.cell.emulators.abb.rws import BAD_ARGUMENT, NOT_FOUND, Gate, execute, fields, motors, speed_ratio
+from simulation.cell.emulators.abb.rws import BAD_ARGUMENT, NOT_FOUND, Gate, execute, motors, speed_ratio
 from simulation.cell.emulators.abb.rws_format import DONE, REALM, State, _rows, as_xhtml
-from simulation.cell.emulators.abb.rws_more import add_core, modules
+from simulation.cell.emulators.abb.rws_more import add_core, form_of, modules
 from simulation.cell.emulators.abb.rws_subscriptions import add_subscriptions
 
 PROTOCOL = "rws_subscription"  # [L], [P]
@@ -45,7 +45,7 @@ def create_app2(cabinet: Cabinet, frames: CellFrames, gate: Gate) -> FastAPI:
     _add_motion_and_signals(app, cabinet, frames)
     _add_mastership(app, held)
     add_core(app, _listed, XHTML)  # [D]
-    add_subscriptions(app, cabinet, fields, gate.admits, PROTOCOL)
+    add_subscriptions(app, cabinet, gate.admits, PROTOCOL)
 
     async def refused(request: Request, error: Exception) -> Response:
         code = error.code if isinstance(error, RefusedError) else BAD_ARGUMENT
@@ -117,7 +117,7 @@ def _add_panel(app: FastAPI, cabinet: Cabinet, held: dict[str, str]) -> None:
 
     @app.post("/rw/panel/ctrl-state")  # [P] body ctrl-state=motoron
     async def switch(request: Request) -> Response:
-        motors(cabinet, dict(await fields(request)))
+        motors(cabinet, await form_of(request))
         return _done()
 
     @app.get("/rw/panel/opmode")  # [L], [P]; upper case
@@ -131,7 +131,7 @@ def _add_panel(app: FastAPI, cabinet: Cabinet, held: dict[str, str]) -> None:
     @app.post("/rw/panel/speedratio")  # [P] 403 without mastership
     async def set_ratio(request: Request) -> Response:
         _needs_edit(request, held)
-        speed_ratio(cabinet, dict(await fields(request)))
+        speed_ratio(cabinet, await form_of(request))
         return _done()
 
 
@@ -146,7 +146,7 @@ def _add_rapid(app: FastAPI, cabinet: Cabinet, held: dict[str, str]) -> None:
             raise KeyError(action)
         if action != "stop":
             _needs_edit(request, held)
-        execute(cabinet, action, dict(await fields(request)))
+        execute(cabinet, action, await form_of(request))
         return _done()
 
     @app.get("/rw/rapid/tasks")  # [L] class rap-task-li
@@ -172,7 +172,7 @@ def _add_symbols(app: FastAPI, cabinet: Cabinet, held: dict[str, str]) -> None:
         if name not in cabinet.symbols:
             raise KeyError(name)
         _needs_edit(request, held)
-        cabinet.symbols[name] = dict(await fields(request))["value"]
+        cabinet.symbols[name] = (await form_of(request))["value"]
         return _done()
 
 
@@ -187,7 +187,7 @@ def _add_motion_and_signals(app: FastAPI, cabinet: Cabinet, frames: CellFrames) 
 
     @app.post("/rw/iosystem/signals/{path:path}/set-value")  # [P]
     async def set_signal(request: Request, path: str) -> Response:
-        cabinet.set_signal(path.rsplit("/", 1)[-1], dict(await fields(request)).get("lvalue", ""))
+        cabinet.set_signal(path.rsplit("/", 1)[-1], (await form_of(request)).get("lvalue", ""))
         return _done()
 
     @app.get("/rw/elog/{domain}")  # [L] getElogMessages
