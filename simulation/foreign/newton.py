@@ -66,7 +66,7 @@ class Drive(Protocol):
 
 
 class Step:
-    """A load step of a grip under a drive; `run` leaves the grip at the solution or elsewhere, and returns which."""
+    """A load step of a grip under a drive. Where `solve` returns infinity, it leaves the grip at no equilibrium."""
 
     def __init__(self, pads: Pads, held: HeldSurface, drive: Drive, grip: Grip) -> None:
         self.pads, self.held, self.drive, self.grip, self.start = pads, held, drive, grip, grip.on.copy()
