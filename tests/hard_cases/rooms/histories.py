@@ -10,7 +10,6 @@ from tests.hard_cases.instead import blind
 from tests.hard_cases.registry import Guard, case, non_finite, not_refused
 from tests.hard_cases.rooms.physics import (
     CONE,
-    EXACT,
     HALVED,
     HOLDS,
     REFUSED,
@@ -20,6 +19,7 @@ from tests.hard_cases.rooms.physics import (
     lowered,
     worst_of,
 )
+from tests.simulation.scenes import UPRIGHT
 
 
 @case(
@@ -90,7 +90,7 @@ def _wedged(cell: QuasiStaticCell) -> float:
 def load_steps_from_one_to_1024(seed: int) -> tuple[float, str]:
     ends = []
     for count in (1, 4, 32, 1024):
-        cell = grasped("rectangle", 8.0, 3.0 * seed, **EXACT)
+        cell = grasped("rectangle", 8.0, 3.0 * seed, **UPRIGHT)
         *_, state = lowered(cell, tuple(4.9 + 1.5 * (k + 1) / count for k in range(count)))
         ends.append(state.in_hand[:3].copy())
     apart = [float(np.linalg.norm(end - ends[-1])) for end in ends[:-1]]
@@ -108,7 +108,7 @@ def load_steps_from_one_to_1024(seed: int) -> tuple[float, str]:
 def two_solvers_of_one_equilibrium(seed: int) -> float:
     ends = []
     for direct in (True, False):
-        cell = grasped("rectangle", 6.0 + seed, 4.0, **EXACT)
+        cell = grasped("rectangle", 6.0 + seed, 4.0, **UPRIGHT)
         cell.direct = direct
         *_, state = lowered(cell, (5.5, 6.2))
         ends.append(state.in_hand.copy())
@@ -126,7 +126,7 @@ def two_solvers_of_one_equilibrium(seed: int) -> float:
 def mirrored_starts(seed: int) -> float:
     forces = []
     for side in (1.0, -1.0):
-        cell = grasped("rectangle", side * (6.0 + seed), side * 4.0, **EXACT)
+        cell = grasped("rectangle", side * (6.0 + seed), side * 4.0, **UPRIGHT)
         *_, state = lowered(cell, (5.5, 6.0))
         forces.append(state.wrench_n_nmm[:3] * (side, 1.0, 1.0))
     return float(np.abs(forces[0] - forces[1]).max() / np.abs(forces[0]).max())

@@ -256,11 +256,13 @@ def test_an_alarm_of_the_charts_is_told_with_its_remedy_and_a_chart_that_cannot_
     cause = SimpleNamespace(what="the light has changed", remedy="look at the lamp")
     added: list[Any] = []
     cell.manager.charts = SimpleNamespace(  # type: ignore[assignment]
-        add=lambda values, name, within: added.append((values, name, within)) or [("light", cause)]
+        add=lambda values, name, within: added.append((values, name, within)) or [("light", cause)],
+        keep=lambda: added.append("kept"),
     )
     ended = {"insertion_id": "one", "outcome": "inserted", "attempts": 2, "brightness_grey": 130.0}
     cell.manager._chart(ended, models)
-    ((values, name, within),) = added
+    (values, name, within), kept = added
+    assert kept == "kept"
     assert (values["light"], name) == (130.0, "")
     assert within == " ".join(entry.sha256[:12] for entry in models.entries), "other networks begin new charts"
     alarm = {"chart": "light", "cause": "the light has changed", "remedy": "look at the lamp"}

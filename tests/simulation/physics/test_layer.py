@@ -16,8 +16,7 @@ from simulation.scene.scene import SceneError
 from simulation.scene.worlds import load_scene
 from tests.simulation.physics import theory
 from tests.simulation.physics.half_space import half_space
-
-CLEAN = theory.STRAIGHT
+from tests.simulation.scenes import UPRIGHT
 
 
 def test_pressure_and_partial_slip_on_a_half_space_follow_hertz_cattaneo_and_mindlin() -> None:
@@ -86,7 +85,7 @@ def test_a_kernel_is_reciprocal_and_stores_energy(make) -> None:
 
 
 def poke(tier: str, name: str = "rectangle", **changes: float) -> CellState:
-    cell = QuasiStaticCell(load_scene(name, gel__tier=tier, **CLEAN, **changes))
+    cell = QuasiStaticCell(load_scene(name, gel__tier=tier, **UPRIGHT, **changes))
     cell.regrasp(8.0, 5.0)
     return cell.move_to(cell.pose[0], 0.0, cell.pose[2] - 6.2, 5.0)
 

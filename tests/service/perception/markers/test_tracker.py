@@ -245,7 +245,7 @@ def test_a_blank_frame_is_lost_not_an_error(level):
 def test_a_frame_of_another_size_or_type_is_refused():
     tracker = MarkerTracker()
     tracker.update(draw(grid(), np.random.default_rng(9)), 0)
-    with pytest.raises(ValueError, match="reset"):
+    with pytest.raises(ValueError, match=r"frame is \[100, 100, 3\], the tracker began with \[320, 327, 3\]"):
         tracker.update(np.zeros((100, 100, 3), np.uint8), 1)
     with pytest.raises(ValueError, match="expected uint8"):
         tracker.update(np.zeros((320, 327, 3), np.float32), 1)  # type: ignore[arg-type]
