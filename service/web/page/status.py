@@ -239,7 +239,7 @@ class Status:
         """Whether an alarm's fault still exists, as far as can be determined."""
         what, _, name = key.partition(" ")
         if what == "camera":
-            return bool(health["cameras"][name]["state"] != "live")
+            return name in health["cameras"] and health["cameras"][name]["state"] != "live"
         if what == "drift":
             return self._station.manager.charts.level(name) >= 1.0
         return what == "recording" and bool(health["recording"])

@@ -108,6 +108,13 @@ def test_a_disk_is_not_asked_while_events_wait_for_the_answer(
     assert locked == [False]
 
 
+def test_a_kept_alarm_of_a_camera_that_is_not_there_is_shown_as_past(live: LiveService) -> None:
+    shown = Status(live.station)
+    shown._alarms.sound("camera upper", "stop", "of an earlier version")
+    (alarm,) = (one for one in shown.snapshot()["alarms"] if one["key"] == "camera upper")
+    assert not alarm["active"]
+
+
 def acknowledged(live: LiveService) -> str:
     """Acknowledge the only open alarm; its key."""
     (alarm,) = (one for one in status(live)["alarms"] if not one["acknowledged_s"])
