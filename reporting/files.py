@@ -75,7 +75,7 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
 
 @contextmanager
 def added_rows(log: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
-    """Yield what adds a row to a log, which is on disk when the call returns; each begins its own line.
+    """Yield what adds a row to a log; a kill after the call does not lose it, and each begins its own line.
 
     Raises ValueError if another process adds rows to it: it would do the same work again.
     """
