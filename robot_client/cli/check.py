@@ -31,7 +31,7 @@ async def _check(settings: Settings) -> Outcome:
         rows.append({"check": name, **finding._asdict()})
         show(f"{'ok  ' if finding.good else 'BAD '} {name:9s} {finding.text}")
     ready = all(row["good"] for row in rows)
-    print("ready to insert" if ready else "NOT ready")
+    show("ready to insert" if ready else "NOT ready")
     return Outcome(ready, {"ready": ready, "findings": rows})
 
 

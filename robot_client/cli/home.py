@@ -13,8 +13,8 @@ def home(settings: Settings, *, acknowledge: bool, direction: HomingDirection, l
     steps = (["acknowledge the latched fault"] if acknowledge else []) + [f"home {direction}"]
     way = f"connect to {settings.gripper.address} and {', then '.join(steps)}"
     if not live:
-        print(DRY_RUN)
-        print(f"would {way}")
+        show(DRY_RUN)
+        show(f"would {way}")
         return Outcome(True, {"live": False, "steps": steps})
     show(warning(live=True, simulated=settings.simulated))
     show(f"will {way}: the fingers move, and drop a part that they do not feel")
@@ -29,9 +29,9 @@ async def _home(settings: Settings, *, acknowledge: bool, direction: HomingDirec
         await gripper.connect()
         if acknowledge:
             await gripper.acknowledge()
-            print("gripper: fault acknowledged")
+            show("gripper: fault acknowledged")
         width_mm = await gripper.home(direction)
-        print(f"gripper: homed, width {width_mm:.1f} mm")
+        show(f"gripper: homed, width {width_mm:.1f} mm")
     except asyncio.CancelledError:
         interrupted = True
         raise DriverError("operator: interrupted, the gripper goes no further") from None

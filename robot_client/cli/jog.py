@@ -17,8 +17,8 @@ def jog(settings: Settings, target: WorkPose, *, live: bool) -> Outcome:
     check_ramps(settings.limits, settings.ramps)
     way = f"go up to z {_clear_mm(settings):+.2f} mm at least, over, then down to {pose_text(target)}"
     if not live:
-        print(DRY_RUN)
-        print(f"would {way}; within the limits")
+        show(DRY_RUN)
+        show(f"would {way}; within the limits")
         return Outcome(True, {"live": False, "target": target.model_dump()})
     show(warning(live=True, simulated=settings.simulated))
     show(f"will {way}, at up to {settings.ramps.travel.speed_mm_s:g} mm/s and with no watch for touch")

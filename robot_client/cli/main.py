@@ -20,7 +20,7 @@ from robot_client.cli.doctor import doctor
 from robot_client.cli.home import home
 from robot_client.cli.insert import insert, make_plan, with_commissioning
 from robot_client.cli.jog import jog
-from robot_client.cli.terminal import Outcome, show
+from robot_client.cli.terminal import Outcome, printed, show
 from robot_client.cli.trial import Subject, try_device
 from robot_client.insertion.geometry import WorkPose
 from robot_client.ports import NOT_CONFIRMED, DriverError, HomingDirection
@@ -211,7 +211,10 @@ def main(argv: list[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     try:
         with contextlib.redirect_stdout(sys.stderr) if args.json else contextlib.nullcontext():
-            outcome = _run(args)
+            try:
+                outcome = _run(args)
+            finally:
+                printed()
         code = 0 if outcome.done else 1
     except (ValueError, OSError) as error:  # OSError: of a device's driver
         text = first_error(error) if isinstance(error, ValidationError) else reason(error)

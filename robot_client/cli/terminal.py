@@ -4,13 +4,15 @@ import asyncio
 import os
 import signal
 import sys
-from typing import Any, NamedTuple
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple, TextIO
 
 from service.contract.text import WIDTH, fitted, printable
 
 NOT_A_SAFETY_FUNCTION = "LIVE: this moves a real robot. It is not a safety function; the cell's guards and stops are."
 SIMULATED = "SIMULATED CELL: the orders are real, the robot is not."
 DRY_RUN = "DRY RUN: nothing is connected, nothing moves (type --live to move)."
+_LINES = ThreadPoolExecutor(1, "terminal")
 
 
 class Outcome(NamedTuple):
@@ -24,12 +26,33 @@ def show(text: str, *, whole: bool = False) -> None:
     """Print a line, with terminal control characters escaped: devices and services send texts, too.
 
     It is wrapped to the terminal, less the two columns that `run` needs, unless ``whole``. Once the terminal is gone,
-    nothing is printed any more, and nothing else changes.
+    nothing is printed any more, and nothing else changes. Nor does an event loop ever wait for a terminal that takes
+    no more lines, as after Ctrl-S: it guides an arm. :func:`printed` waits for all lines.
     """
+    line = printable(text) if whole else fitted(printable(text), width=WIDTH - 2)
+    printing = _LINES.submit(_print, line, sys.stdout)
+    if not _in_event_loop():
+        printing.result()
+
+
+def printed() -> None:
+    """Wait until every line is printed."""
+    _LINES.submit(int).result()
+
+
+def _print(line: str, output: TextIO) -> None:
     try:
-        print(printable(text) if whole else fitted(printable(text), width=WIDTH - 2), flush=True)
+        print(line, file=output, flush=True)
     except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the rest of the buffer goes there
+        os.dup2(os.open(os.devnull, os.O_WRONLY), output.fileno())  # the rest of the buffer goes there
+
+
+def _in_event_loop() -> bool:
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return False
+    return True
 
 
 def warning(*, live: bool, simulated: bool) -> str:

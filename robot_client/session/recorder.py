@@ -1,11 +1,13 @@
 """The episode log: one JSON object per line, every event and every command in order; enough to replay the insertion.
 
 First line: the plan. Then ``{"event": ...}`` and ``{"command": ...}`` as they happened; last ``{"end": ...}``.
+A thread of its own writes them: the event loop that guides the arm waits for no disk.
 """
 
 import contextlib
 import json
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import IO, Any
 
@@ -14,46 +16,60 @@ from pydantic import ValidationError
 from robot_client.insertion.events import COMMAND, EVENT, Command, Event
 from robot_client.insertion.state import Plan
 from service.contract.frames import ContractError, first_error
+from service.contract.refusals import reason
 
 LOG_VERSION = 2
+LAST_LINES_S = 5.0  # a disk that has not taken the rest by then keeps nobody waiting any longer
 
 
 class Recorder:
-    """Writes one episode; a line is flushed before the next event is handled.
+    """Writes one episode; each line is flushed.
 
-    A log that cannot be created raises ContractError. A log that cannot be continued (a full disk) ends there, and
-    ``lost`` holds the reason: an exception here would end the task that listens for slip.
+    A log that cannot be created raises ContractError. A log that cannot be continued (a full disk, one that does not
+    answer) ends there, and ``lost`` holds the reason after :meth:`end`.
     """
 
     def __init__(self, path: Path | None, plan: Plan) -> None:
         self.path = path
         self.lost = ""
         self._file: IO[str] | None = None
+        self._lines: ThreadPoolExecutor | None = None
         if path is not None:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 self._file = path.open("x", encoding="utf-8", buffering=1)
             except OSError as error:
                 raise ContractError(f"cannot write the episode log {path}: {error.strerror}") from None
-        self._write({"version": LOG_VERSION, "plan": plan.model_dump(mode="json")})
+            self._lines = ThreadPoolExecutor(1, "episode log")
+        self._put({"version": LOG_VERSION, "plan": plan.model_dump(mode="json")})
 
     def event(self, event: Event) -> None:
-        self._write({"event": event.model_dump(mode="json")})
+        self._put({"event": event.model_dump(mode="json")})
 
     def command(self, command: Command) -> None:
-        self._write({"command": command.model_dump(mode="json")})
+        self._put({"command": command.model_dump(mode="json")})
 
     def end(self, summary: dict[str, Any]) -> None:
-        self._write({"end": summary})
-        self._close()
+        """Write the last line and close, waiting for LAST_LINES_S at most; only once nothing moves any more."""
+        self._put({"end": summary})
+        if self._lines is None:
+            return
+        lines, self._lines = self._lines, None
+        if wait([lines.submit(self._close)], LAST_LINES_S).not_done:
+            self.lost = f"the disk has not taken its last lines within {LAST_LINES_S:g} s"
+        lines.shutdown(wait=False)
+
+    def _put(self, line: dict[str, Any]) -> None:
+        if self._lines is not None:
+            self._lines.submit(self._write, line)
 
     def _write(self, line: dict[str, Any]) -> None:
         if self._file is None:
             return
         try:
             self._file.write(json.dumps(line, allow_nan=False) + "\n")
-        except OSError as error:
-            self.lost = error.strerror or str(error)
+        except (OSError, ValueError, TypeError) as error:  # the latter two: of figures that a driver made up
+            self.lost = reason(error)
             self._close()
 
     def _close(self) -> None:

@@ -12,6 +12,7 @@ from robot_client.cli.check import _check
 from robot_client.cli.home import _home
 from robot_client.cli.insert import _insert, make_plan
 from robot_client.cli.jog import _jog
+from robot_client.cli.terminal import printed
 from robot_client.grippers.wsg50.link import GripperError
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.motion import Ramps
@@ -180,8 +181,8 @@ def test_the_last_screen_counts_the_attempts_of_all_grasps(monkeypatch, capsys):
 
     monkeypatch.setattr("robot_client.cli.insert.upright", after_a_regrasp)
     assert main(["insert", "--x-mm", "8", "--json"]) == 0
-    printed = capsys.readouterr()
-    assert f"INSERTED after {json.loads(printed.out)['attempts']} attempts" in printed.err
+    out, err = capsys.readouterr()
+    assert f"INSERTED after {json.loads(out)['attempts']} attempts" in err
 
 
 async def test_check_reads_every_device_and_moves_nothing(capsys):
@@ -190,6 +191,7 @@ async def test_check_reads_every_device_and_moves_nothing(capsys):
         moved = {pose.position_mm for _, _, pose in cell.trace}
         commands = set(cell.wsg.counters.commands)
         running, received = cell.cabinet.running, cell.service.received
+    printed()
     out = capsys.readouterr().out
     assert outcome.done, out
     assert len(moved) == 1
@@ -203,6 +205,7 @@ async def test_check_names_what_is_not_ready(capsys):
     async with bench(overrides={"service": {"url": "ws://127.0.0.1:9"}}) as cell:
         cell.board.update({"robot": {"mode": "MANF"}, "gripper": {"not_homed": True}})
         assert not (await _check(cell.settings)).done
+    printed()
     out = capsys.readouterr().out
     assert "BAD  robot     operating mode MANF" in out
     assert "not homed" in out
@@ -259,7 +262,8 @@ async def test_a_services_text_cannot_command_the_operators_terminal(capsys):
         cell.service.on_message = lambda message: [fault] if message.type == "hello" else None
         plan = make_plan(cell.settings, 8.0, 6.0, "hostile", None)
         assert not (await _insert(cell.settings, plan, live=True, log=None)).done
-    printed = capsys.readouterr().out
-    assert printed.replace("\n", "").isprintable()
-    assert "\\x1b[2J\\x1b]0;owned\\x07\\rINSERTED" in printed
-    assert not any(line.startswith("INSERTED") for line in printed.splitlines())
+    printed()
+    shown = capsys.readouterr().out
+    assert shown.replace("\n", "").isprintable()
+    assert "\\x1b[2J\\x1b]0;owned\\x07\\rINSERTED" in shown
+    assert not any(line.startswith("INSERTED") for line in shown.splitlines())

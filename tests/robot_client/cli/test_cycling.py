@@ -13,6 +13,7 @@ import pytest
 from robot_client.cli.cycle import _cycle, _take_orders
 from robot_client.cli.insert import make_plan
 from robot_client.cli.main import main
+from robot_client.cli.terminal import printed
 from robot_client.session.cycle import Pace
 from robot_client.session.recorder import Recorder
 from service.contract import wire
@@ -100,6 +101,7 @@ def test_a_pause_that_is_sent_twice_does_not_resume(capsys):
         states = asyncio.run(story())
     finally:
         signal.signal(signal.SIGTTIN, before)
+    printed()
     assert states == [(True, False), (True, False), (False, False), (False, False), (False, True)]
     assert capsys.readouterr().out.splitlines()[-1] == "stopping after this part"
 
@@ -117,6 +119,7 @@ def test_a_part_that_is_not_there_is_named_with_the_controllers_answer_and_a_los
             return await _cycle(cell.settings, cell.settings.cycle, 1, Path(tmp_path), plan)
 
     outcome = run(story)
+    printed()
     lines = capsys.readouterr().out
     assert not outcome.done
     assert "on nothing; is the object between the fingers?" in outcome.result["reason"]
@@ -180,9 +183,9 @@ def test_a_cycle_says_what_it_takes_for_granted_before_anything_moves(keys, expe
     path = tmp_path / "cell.toml"
     path.write_text(f"[cycle]\nopen_mm = 80\npick = {{x_mm = -20, y_mm = 0, z_mm = 45, yaw_deg = 0}}\n{keys}")
     assert main(["cycle", "--config", str(path)]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
+    shown = " ".join(capsys.readouterr().out.split())
     for words in expect:
-        assert words in printed
+        assert words in shown
 
 
 @pytest.mark.parametrize("command", ["cycle", "commission"])

@@ -1,15 +1,12 @@
 """The runner's guarantees for the arm in any circumstances: an orderly end, and no start after a failure."""
 
 import asyncio
-import os
-import signal
-import subprocess
-import sys
 import time
 
 import pytest
 
-from robot_client.cli import jog, terminal
+from robot_client.cli import jog
+from robot_client.cli.terminal import printed
 from robot_client.insertion.events import Arrived, Failure
 from robot_client.insertion.state import Phase
 from robot_client.ports import NOT_CONFIRMED, DriverError
@@ -242,42 +239,5 @@ async def test_a_jog_that_is_interrupted_stops_the_arm_and_says_so_in_one_line(m
     arm.closing.set()
     with pytest.raises(DriverError, match="interrupted"):
         await task
+    printed()
     assert "controller confirms" in capsys.readouterr().out
-
-
-def test_an_insertion_ends_as_it_would_have_where_nobody_reads_its_lines(tmp_path):
-    arguments = [sys.executable, "-m", "robot_client", "insert", "--x-mm", "8", "--log", str(tmp_path / "log.jsonl")]
-    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as client:
-        client.stdout.close()
-        errors = client.stderr.read()
-    assert (client.returncode, errors) == (0, "")
-
-
-@pytest.mark.parametrize("ignored", [False, True])
-def test_a_terminal_that_hangs_up_ends_the_insertion_in_order_but_under_nohup(ignored):
-    async def wait():
-        terminal.stop_on_signals()
-        os.kill(os.getpid(), signal.SIGHUP)
-        await asyncio.sleep(0.05)
-        return "went on"
-
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.default_int_handler)
-    try:
-        if ignored:
-            assert asyncio.run(wait()) == "went on"
-        else:
-            with pytest.raises(asyncio.CancelledError):
-                asyncio.run(wait())
-    finally:
-        signal.signal(signal.SIGHUP, before)
-
-
-@pytest.mark.parametrize("order", [signal.SIGUSR1, signal.SIGUSR2, signal.SIGRTMIN])
-def test_an_order_that_only_a_cycle_takes_ends_another_command_in_order(order):
-    async def wait():
-        terminal.stop_on_signals()
-        os.kill(os.getpid(), order)
-        await asyncio.sleep(0.05)
-
-    with pytest.raises(asyncio.CancelledError):
-        asyncio.run(wait())
