@@ -23,6 +23,7 @@ from robot_client.session.stops import StopWatch
 from robot_client.settings import Settings, SettingsError
 from service.contract import wire
 from service.contract.frames import Finger
+from service.contract.refusals import reason
 
 RATE_HZ = 30.0  # of cameras that have not told theirs
 
@@ -149,22 +150,22 @@ async def _commission(probing: Probing, probes_n: int, path: Path, record: Recor
     press = partial(probing.probe, until_slip=True) if presses else None
     running = Commissioning(path, record, probing.probe, probing.fetch, draw, show, press, probing.press_at)
     probing.late_s = lambda: running.record.late_s
-    reason = ""
+    why = ""
     try:
         await probing.begin()
         record = await running.run(probes_n)
-    except ValueError as error:
-        record, reason = running.record, str(error)
-        show(f"HOLD  {error}")
+    except (ValueError, OSError) as error:
+        record, why = running.record, reason(error)
+        show(f"HOLD  {why}")
     finally:
         await probing.leave()
     for cause in record.named:
         show(f"MISTAKE  {cause}")
     if record.late_s is not None:
         show(f"pictures and arm are late by at most {record.late_s * 1e3:.0f} ms together; `insert` reckons with that")
-    if record.labelled_n >= probes_n and not reason:
+    if record.labelled_n >= probes_n and not why:
         show(f"{record.labelled_n} probes done. The service's recordings hold them; to learn from them:")
         show(f"  python -m training adapt RECORDINGS --record {path} --from models/pressing/checkpoint.pt")
     show(f"record: {path}")
-    result = {"named": list(record.named), "probes": record.labelled_n, "record": str(path), "reason": reason}
-    return Outcome(not record.named and not reason, result)
+    result = {"named": list(record.named), "probes": record.labelled_n, "record": str(path), "reason": why}
+    return Outcome(not record.named and not why, result)

@@ -20,6 +20,7 @@ from robot_client.session.report import Report
 from robot_client.session.runner import Runner
 from robot_client.session.travel import pose_text
 from robot_client.settings import Settings, SettingsError
+from service.contract.refusals import reason
 
 
 def cycle(settings: Settings, *, live: bool, asked: bool, parts_n: int | None, log: Path | None) -> Outcome:
@@ -89,10 +90,10 @@ async def _cycle(
     _take_orders(running.pace)
     try:
         await running.run(parts_n)
-    except (DriverError, ValueError) as error:
-        show(f"HOLD  {error}")
+    except (ValueError, OSError) as error:  # the latter of a driver that does not say what it could not reach
+        show(f"HOLD  {reason(error)}")
         show(str(running.count))
-        return Outcome(False, _result(running.count) | {"reason": str(error)})
+        return Outcome(False, _result(running.count) | {"reason": reason(error)})
     show(str(running.count))
     return Outcome(True, _result(running.count))
 

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import time
 from collections import deque
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -30,6 +30,7 @@ from robot_client.ports import NOT_CONFIRMED, Arm, DecisionService, DriverError,
 from robot_client.session.recorder import Recorder
 from robot_client.session.telemetry import Telemetry
 from service.contract import wire
+from service.contract.refusals import reason
 
 _TICK_S = 0.02
 _PORTS: dict[str, Source] = {"grasp": "gripper", "say": "service"}  # to which an order goes, if not to the arm
@@ -81,6 +82,14 @@ async def farewell_of(arm: Arm) -> str:
     return farewell or f"{NOT_CONFIRMED} (its driver says nothing): use the stop button"
 
 
+async def close_arm(arm: Arm, show: Callable[[str], None]) -> None:
+    """Close an arm and show how that ended; raises DriverError if its stop was not confirmed."""
+    farewell = await farewell_of(arm)
+    show(farewell)
+    if farewell.startswith(NOT_CONFIRMED):
+        raise DriverError(f"robot: {farewell}")
+
+
 @dataclass(slots=True)
 class Runner:
     """Runs one insertion to its end. Events are handled in order of arrival, commands at once, on one event loop."""
@@ -107,9 +116,9 @@ class Runner:
         """From connecting to closing; raises DriverError if a device cannot be made ready (nothing has moved then).
 
         An interrupt ends the insertion like an operator's stop. During the closing it raises CancelledError, or
-        DriverError if the arm's stop was not confirmed.
+        DriverError if the arm's stop was not confirmed. Whatever else a driver raises comes out after the closing.
         """
-        broken: DriverError | None = None
+        broken: Exception | None = None
         try:
             await self.service.start(self.post)
             await self.gripper.start(self.post)
@@ -127,12 +136,12 @@ class Runner:
                 self._telemetry.sample(self.state, self.state.width_mm)
         except asyncio.CancelledError:
             self.post(Failure(at_s=time.monotonic(), source="operator", code="stop", detail="interrupted"))
-        except DriverError as error:
+        except Exception as error:
             broken = error
         finally:
             await to_the_end(self._close(), interrupted=True)
         if broken:
-            raise DriverError(f"{broken}; robot: {self.farewell}") if self._may_move else broken
+            raise DriverError(f"{reason(broken)}; robot: {self.farewell}") if self._may_move else broken
         if was_cancelled() and not self.state.reason.startswith("operator"):
             self.check_stopped()
             raise asyncio.CancelledError  # it ended in the same moment: nothing else may begin

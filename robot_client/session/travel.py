@@ -9,8 +9,8 @@ from robot_client.insertion.events import Arrived, Event, Failure
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, Limits, Motion, check_arrived, check_pose
 from robot_client.insertion.motion import Ramps, check_ramps
-from robot_client.ports import NOT_CONFIRMED, Arm, DriverError, Gripper
-from robot_client.session.runner import farewell_of, to_the_end, was_cancelled
+from robot_client.ports import Arm, DriverError, Gripper
+from robot_client.session.runner import close_arm, to_the_end, was_cancelled
 
 Way = Callable[[WorkPose], Sequence[tuple[WorkPose, Motion]]]
 """The corners from the arm's present pose, and the motion to each."""
@@ -81,7 +81,7 @@ class Errands:
             interrupted = True
             raise DriverError("operator: interrupted, the arm is stopped") from None
         finally:
-            await to_the_end(_end(arm, show), interrupted=interrupted)
+            await to_the_end(close_arm(arm, show), interrupted=interrupted)
         return here
 
     async def with_gripper(self, work: Callable[[Gripper], Awaitable[float | bool]]) -> bool:
@@ -107,13 +107,6 @@ def _check_arrived(target: WorkPose, pose: WorkPose) -> None:
         check_arrived(target, pose)
     except LimitError as error:
         raise DriverError(f"robot: {error}") from None
-
-
-async def _end(arm: Arm, show: Callable[[str], None]) -> None:
-    farewell = await farewell_of(arm)
-    show(farewell)
-    if farewell.startswith(NOT_CONFIRMED):
-        raise DriverError(f"robot: {farewell}")
 
 
 def pose_text(pose: WorkPose) -> str:

@@ -12,7 +12,7 @@ from robot_client.insertion.limits import LimitError, Limits, check_arrived, che
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Timeouts
 from robot_client.ports import NOT_CONFIRMED, Arm, DriverError, Finding
-from robot_client.session.runner import farewell_of, to_the_end
+from robot_client.session.runner import close_arm, to_the_end
 
 UP_MM = 15.0
 REST_MM = 0.05  # an arm that stands moves no further than this
@@ -34,7 +34,7 @@ class ArmTrial:
     _events: asyncio.Queue[Event] = field(default_factory=asyncio.Queue)
 
     async def run(self, show: Callable[[Finding], None]) -> None:
-        """Raises DriverError if the arm cannot be made ready, and LimitError if there is no room above it."""
+        """Raises DriverError if the arm is not ready or its stop not confirmed, LimitError if it has no room above."""
         try:
             self._holds_before_its_start(show)
             start = await self.arm.start(self._events.put_nowait)
@@ -47,11 +47,7 @@ class ArmTrial:
             except (DriverError, LimitError) as error:
                 show(Finding(False, str(error)))
         finally:
-            await to_the_end(self._close(show))
-
-    async def _close(self, show: Callable[[Finding], None]) -> None:
-        farewell = await farewell_of(self.arm)
-        show(Finding(not farewell.startswith(NOT_CONFIRMED), f"close: {farewell}"))
+            await to_the_end(close_arm(self.arm, lambda farewell: show(_closed(farewell))))
 
     def _holds_before_its_start(self, show: Callable[[Finding], None]) -> None:
         """As where the gripper fails first."""
@@ -132,6 +128,10 @@ class ArmTrial:
     @property
     def _bound(self) -> str:
         return f"allowed {self._allowed_mm:.2f} with lease.stop_lag_s = {self.lease.stop_lag_s:g}"
+
+
+def _closed(farewell: str) -> Finding:
+    return Finding(not farewell.startswith(NOT_CONFIRMED), f"close: {farewell}")
 
 
 def _text(event: Event) -> str:

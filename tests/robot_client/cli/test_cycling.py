@@ -14,10 +14,12 @@ from robot_client.cli.cycle import _cycle, _take_orders
 from robot_client.cli.insert import make_plan
 from robot_client.cli.main import main
 from robot_client.cli.terminal import printed
-from robot_client.session.cycle import Pace
+from robot_client.grippers.dry_run.driver import DryGripper
+from robot_client.session.cycle import CycleSettings, Pace
 from robot_client.session.recorder import Recorder
+from robot_client.settings import load_settings
 from service.contract import wire
-from tests.robot_client.cycle_cell import cell_with, run, turned
+from tests.robot_client.cycle_cell import PICK, cell_with, run, turned
 
 SHELL = """
 import fcntl, subprocess, sys, termios, time
@@ -127,6 +129,21 @@ def test_a_part_that_is_not_there_is_named_with_the_controllers_answer_and_a_los
     (log,) = tmp_path.iterdir()
     assert f"insertion {log.stem}\n" in lines, "the name of its recording, and of its lines in the service's log"
     assert "BROKEN OFF: No space left on device" in lines
+
+
+def test_a_gripper_of_ones_own_that_is_not_there_holds_the_cycle_which_says_what_it_has_done(monkeypatch, capsys):
+    """Its driver may raise the system's own error."""
+
+    async def gone(_gripper):
+        raise ConnectionResetError(104, "Connection reset by peer")
+
+    monkeypatch.setattr(DryGripper, "connect", gone)
+    taught = CycleSettings(pick=PICK, open_mm=80.0)
+    settings = load_settings(None, {"robot": {"device": "dry_run"}, "gripper": {"device": "dry_run"}})
+    outcome = asyncio.run(_cycle(settings, taught, 1, None, make_plan(settings, 0.0, 0.0, None, None)))
+    printed()
+    assert (outcome.done, outcome.result["reason"]) == (False, "Connection reset by peer")
+    assert capsys.readouterr().out.splitlines()[-2:] == ["HOLD  Connection reset by peer", "0 inserted"]
 
 
 def test_nothing_is_let_go_of_while_nobody_confirms_that_the_arm_has_stopped(monkeypatch):

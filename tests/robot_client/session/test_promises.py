@@ -171,6 +171,21 @@ def test_a_gripper_that_breaks_a_promise_is_named(story, wrong, named, monkeypat
     assert any(text.startswith(named) for text in bad(asyncio.run(story(wrong))))
 
 
+@pytest.mark.parametrize("error", [DriverError("robot: not ready"), asyncio.CancelledError()])
+async def test_a_try_whose_arm_may_still_move_says_that_first(error):
+    """Not that it failed safe, nor that it was interrupted."""
+    arm, findings = Port("arm", [], farewell=f"{NOT_CONFIRMED} by the controller: use the stop button"), []
+
+    async def start(_post):
+        raise error
+
+    arm.start = start
+    arm.closing.set()
+    with pytest.raises(DriverError, match="robot: STOP NOT CONFIRMED by the controller"):
+        await ArmTrial(arm, PLAN.limits, PLAN.ramps, PLAN.lease, PLAN.timeouts).run(findings.append)
+    assert [finding.good for finding in findings] == [False]
+
+
 async def test_fingers_that_are_closed_already_are_refused():
     async with bench(part=Part(present=False), holding=False) as cell:
         cell.gripper.width_mm = 0.0

@@ -102,27 +102,35 @@ async def test_an_operator_who_presses_twice_does_not_break_off_the_stop_that_th
     assert (state.phase, run.farewell) == (Phase.FAILED, "controller confirms")
 
 
-@pytest.mark.parametrize("farewell", [f"{NOT_CONFIRMED} by the controller: use the stop button", ""])
-@pytest.mark.parametrize("ready", [True, False])
-def test_an_arm_whose_stop_nobody_confirms_is_never_passed_over(ready, farewell):
-    """Whatever else ended the insertion, here an interrupt or a gripper, and also where the driver breaks."""
+UNCONFIRMED = f"{NOT_CONFIRMED} by the controller: use the stop button"
+
+
+@pytest.mark.parametrize("farewell", [UNCONFIRMED, ""])
+@pytest.mark.parametrize("error", [None, DriverError("gripper: not homed"), OSError("no route"), ZeroDivisionError()])
+@pytest.mark.parametrize("ends", ["start", "position"])
+async def test_an_arm_whose_stop_nobody_confirms_is_never_passed_over(ends, error, farewell):
+    """Whatever else ended the insertion, an interrupt or a driver that breaks, and also where its farewell does."""
 
     async def not_ready(_post):
-        raise DriverError("gripper: not homed")
+        raise error
 
-    async def story():
-        run = runner([], service="gone")  # the insertion ends by itself
-        run.arm.farewell, run.gripper.start = farewell, run.gripper.start if ready else not_ready
-        task = asyncio.ensure_future(run.run())
-        await asyncio.sleep(0.05)
-        if ready:
-            task.cancel()
-        let_close(run)
-        with pytest.raises(DriverError, match=r"STOP NOT CONFIRMED.*: use the stop button") as raised:
-            await task
-        assert ("not homed" in str(raised.value)) != ready
+    def breaks():
+        raise error
 
-    asyncio.run(story())
+    run = runner([], service="" if error else "gone")
+    run.arm.farewell = farewell
+    if error and ends == "start":
+        run.gripper.start = not_ready
+    elif error:
+        run.arm.position = breaks
+    task = asyncio.ensure_future(run.run())
+    await asyncio.sleep(0.05)
+    if not error:
+        task.cancel()
+    let_close(run)
+    with pytest.raises(DriverError, match=r"STOP NOT CONFIRMED.*: use the stop button") as raised:
+        await task
+    assert (str(error or "") or "ZeroDivisionError") in str(raised.value) or not error
 
 
 @pytest.mark.parametrize("moving", ["insertion", "way"])
