@@ -8,6 +8,7 @@ from robot_client.insertion.state import Phase, State
 from service.contract import wire
 
 LEAST_WAY_MM = 0.3  # fingers that close by less were closed before
+INACCURACY_MM, WIDEST_MM = 1.0, 1000.0  # no message can state a larger width
 
 
 def grasp(state: State, at_s: float) -> Result:
@@ -17,6 +18,9 @@ def grasp(state: State, at_s: float) -> Result:
 
 def on_gripper(state: State, event: Grasped | Width | PartLost) -> Result:
     """The state after an event of the gripper, and the commands to carry out."""
+    if isinstance(event, Grasped | Width) and not -INACCURACY_MM <= event.width_mm <= WIDEST_MM:
+        detail = f"tells a width of {event.width_mm:g} mm, expected {-INACCURACY_MM:g} .. {WIDEST_MM:g}: is it in mm?"
+        return fail(state, "gripper", "width", detail)
     match event:
         case PartLost():
             return _on_part_lost(state, event)

@@ -10,8 +10,9 @@ import http
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 
@@ -36,6 +37,12 @@ class ServiceSettings(Contract):
     connect_timeout_s: float = Field(default=3.0, gt=0)
     heartbeat_s: float = Field(default=0.1, gt=0, le=1.0)
     silence_s: float = Field(default=0.75, gt=0, le=30)
+
+    @model_validator(mode="after")
+    def _is_heard_in_time(self) -> Self:
+        if not self.silence_s > self.heartbeat_s:
+            raise ValueError(f"silence_s = {self.silence_s:g}, expected more than heartbeat_s = {self.heartbeat_s:g}")
+        return self
 
     def token(self) -> str | None:
         """The token for driving, None if none is found; raises DriverError if its file is unusable."""

@@ -139,6 +139,7 @@ class Wsg50(Gripper):
             raise GripperError(
                 f"gripper: cannot open to {width_mm:g} mm, expected more than grasp_width_mm = {closed_mm:g}"
             )
+        self._check_allowed("grasp_speed_mm_s")
         command = Command.RELEASE if self.held else Command.MOVE
         kind = () if self.held else (codes.MoveFlag.STOP_ON_BLOCK,)
         await self._link.request(command, *kind, width_mm, self.settings.grasp_speed_mm_s)
@@ -157,28 +158,34 @@ class Wsg50(Gripper):
         if SystemState.REFERENCED not in self.system:
             raise GripperError(f"gripper: not homed; run {_HOME}")
 
+    def _allowed(self, name: str) -> Finding:
+        """Whether the gripper allows a value of the settings; out of range it may clamp or latch a fast stop."""
+        (low, high), value = self.limits[name], getattr(self.settings, name)
+        return Finding(low <= value <= high, f"{name} = {value:g}, this gripper allows {low:g} .. {high:g}")
+
+    def _check_allowed(self, *names: str) -> None:
+        for allowed, text in map(self._allowed, names):
+            if not allowed:
+                raise GripperError(f"gripper: {text}")
+
     async def _close_fingers(self) -> None:
         self._check_ready()
-        for name, (low, high) in self.limits.items():  # out of range the gripper may clamp or latch a fast stop
-            value = getattr(self.settings, name)
-            if not low <= value <= high:
-                raise GripperError(f"gripper: {name} = {value:g}, this gripper allows {low:g} .. {high:g}")
+        self._check_allowed(*self.limits)
         await self._link.request(Command.SET_FORCE_LIMIT, self.settings.force_limit_n)
         await self._link.request(Command.GRASP, self.settings.grasp_width_mm, self.settings.grasp_speed_mm_s)
 
     # ---- background -----------------------------------------------------------------------------------------------
 
     async def _check(self) -> list[Finding]:
-        """Faults, homing, the force limit against the gripper's own, state and width."""
+        """Faults, homing, the settings against the gripper's own limits, state and width."""
         await self.connect()
         width_mm = await self.width_mm()
-        faults, force_n = self.system & FAULT_BITS, self.settings.force_limit_n
-        low_n, high_n = self.limits["force_limit_n"]
+        faults = self.system & FAULT_BITS
         homed = SystemState.REFERENCED in self.system
         return [
             Finding(not faults, f"faults: {faults.name or 'none'}" if faults else "no fault"),
             Finding(homed, "homed" if homed else f"not homed: run {_HOME}"),
-            Finding(low_n <= force_n <= high_n, f"force limit {force_n:g} N of {low_n, high_n} N"),
+            *map(self._allowed, self.limits),
             Finding(True, f"grasping state {self.state and self.state.name}, width {width_mm:.1f} mm"),
         ]
 

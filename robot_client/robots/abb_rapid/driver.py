@@ -22,6 +22,7 @@ from robot_client.robots.abb_rapid import codec
 from robot_client.robots.abb_rapid.codec import GuardState, MotionAnswer, TextParser
 from robot_client.robots.abb_rapid.settings import Settings
 from robot_client.robots.abb_rws.client import RwsClient
+from robot_client.robots.abb_rws.generation import RwsError
 from robot_client.silence import Silence
 
 _LEASE_CHECK_S = 0.005
@@ -64,7 +65,10 @@ class SocketArm:
     async def start(self, post: Post) -> WorkPose:
         """Start the program, connect to both ports, wait for the first position; raises DriverError."""
         if self.rws is not None:
-            await self.rws.start_program()
+            try:
+                await self.rws.start_program()
+            except RwsError as error:
+                raise DriverError(f"robot: {error}") from None
         motion_reader, self._motion = await self._connect(self.settings.motion_port, "motion server")
         guard_reader, self._guard = await self._connect(self.settings.guard_port, "guard")
         self._silence.heard(time.monotonic())

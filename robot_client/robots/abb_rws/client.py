@@ -106,16 +106,16 @@ class RwsClient:
         status = await self.status()
         if status.operating_mode != "AUTO":
             raise RwsError(f"operating mode is {status.operating_mode}, expected AUTO; turn the key switch")
-        if status.controller != "motoron":
-            if status.controller != "motoroff" or not self.settings.switch_motors_on:
-                remedy = "release the stop, then switch the motors on"
-                raise RwsError(f"controller state is {status.controller}, expected motoron; {remedy}")
-            await self._order("motors", {"ctrl-state": "motoron"})
-            await self._until("ctrlstate", "motoron", self.settings.motors_timeout_s)
+        if status.controller != "motoron" and (status.controller != "motoroff" or not self.settings.switch_motors_on):
+            remedy = "release the stop, then switch the motors on"
+            raise RwsError(f"controller state is {status.controller}, expected motoron; {remedy}")
         if not self._is_fast(status):
             raise RwsError(f"speed ratio is {status.speed_ratio} %{self._of_speed}; set it on the pendant")
         if status.execution == "running":
             raise RwsError("the RAPID program runs already; stop it, so that guidance starts from a known state")
+        if status.controller != "motoron":
+            await self._order("motors", {"ctrl-state": "motoron"})
+            await self._until("ctrlstate", "motoron", self.settings.motors_timeout_s)
         # Continued where it was stopped, the program would first take a jogged arm back there.
         await self._order("to_main", {})
         self.started = True  # from here on we have to stop the program, whatever the answer

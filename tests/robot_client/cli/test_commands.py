@@ -38,6 +38,7 @@ from tests.robot_client.live_cell import bench
         ("[gripper]\nsilence_s = 500", "gripper.silence_s: expected a number > 0 and <= 30"),
         ("[service]\nsilence_s = 750", "service.silence_s: expected a number > 0 and <= 30"),
         ('[service]\nurl = "http://127.0.0.1"', "service.url"),
+        ("[service]\nheartbeat_s = 0.75", "service: silence_s = 0.75, expected more than heartbeat_s = 0.75"),
         ("[limits]\nmax_attempts = 3.0", "limits.max_attempts: expected a whole number >= 1 and <= 15"),
         ("[task]\ngap_width_mm = -1", "task.gap_width_mm"),
         ("[limits]\nz_mm = [5, 900]\n[task]\napproach_z_mm = 600", "grasp_height_mm"),

@@ -30,6 +30,17 @@ def test_a_width_slightly_below_nothing_is_reported_as_nothing():
     assert (state.phase, arm.message.gripper_width_mm) == (Phase.ARMING, 0.0)
 
 
+@pytest.mark.parametrize(("width_mm", "is_one"), [(-1.0, True), (-1.1, False), (1000.0, True), (1000.1, False)])
+@pytest.mark.parametrize("kind", [Grasped, Width])
+def test_a_width_that_no_fingers_have_ends_the_insertion_and_is_named(kind, width_mm, is_one):
+    """As of a driver that tells its gripper's own counts; the next message to the service could not hold it."""
+    event = kind(at_s=0.0, width_mm=width_mm)
+    story = [*TO_ARMING[:2], event, *TO_ARMING[3:]] if kind is Grasped else [*TO_ARMING[:-1], event, TO_ARMING[-1]]
+    state, _ = run(story)
+    assert (state.phase is Phase.ARMING) == is_one
+    assert is_one or f"gripper: width: tells a width of {width_mm:g} mm" in state.reason
+
+
 OTHER_GEL = service(wire.Fault(insertion_id=ID, code="open_gel", detail="this is not the gel", fatal=False))
 
 

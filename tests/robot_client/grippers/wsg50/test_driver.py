@@ -144,6 +144,7 @@ REFUSED = {
     "opens beyond closed": ({}, lambda driver: driver.release(-1.0), "cannot open to -1 mm"),
     "homes a part away": ({}, lambda driver: driver.home("default"), "holds a part; homing would drop it"),
     "too fast": ({"grasp_speed_mm_s": 421.0}, lambda driver: driver.finds_nothing(), "grasp_speed_mm_s = 421"),
+    "opens too fast": ({"grasp_speed_mm_s": 421.0}, lambda driver: driver.release(55.0), "grasp_speed_mm_s = 421"),
     "too slow": ({"grasp_speed_mm_s": 4.9}, lambda driver: driver.finds_nothing(), "allows 5 .. 420"),
     "too hard": ({"force_limit_n": 81.0}, lambda driver: driver.finds_nothing(), "force_limit_n = 81"),
     "too wide": ({"grasp_width_mm": 111.0}, lambda driver: driver.finds_nothing(), "grasp_width_mm = 111"),
@@ -171,22 +172,28 @@ async def test_fingers_that_are_not_homed_close_on_nothing_and_homing_says_where
         cell.board.update({"gripper": {"not_homed": False}})
         cell.mechanism.width_mm = 108.0
         width_mm = await cell.driver.home("outward")
-    assert [good for good, _ in findings] == [True, False, True, True]
+    assert [good for good, _ in findings] == [True, False, *[True] * 4]
     assert width_mm == pytest.approx(110.0)
 
 
-@pytest.mark.parametrize(("force_n", "good"), [(5.0, True), (4.9, False), (80.0, True), (80.1, False)])
-async def test_a_check_names_faults_force_state_and_width(force_n, good):
-    async with bench(force_limit_n=force_n) as cell:
+SHIPPED = {"force_limit_n": 40.0, "grasp_speed_mm_s": 150.0, "grasp_width_mm": 40.0}
+ALLOWED = {"force_limit_n": "5 .. 80", "grasp_speed_mm_s": "5 .. 420", "grasp_width_mm": "0 .. 110"}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "good"),
+    [
+        *[("force_limit_n", value, value in (5.0, 80.0)) for value in (4.9, 5.0, 80.0, 80.1)],
+        ("grasp_speed_mm_s", 421.0, False),
+        ("grasp_width_mm", 111.0, False),
+    ],
+)
+async def test_a_check_names_faults_settings_beyond_the_grippers_limits_state_and_width(name, value, good):
+    async with bench(**{name: value}) as cell:
         findings = await cell.driver.checks()["gripper"]()
-    assert [one.good for one in findings] == [True, True, good, True]
-    texts = [
-        "no fault",
-        "homed",
-        f"force limit {force_n:g} N of (5.0, 80.0) N",
-        "grasping state HOLDING, width 50.0 mm",
-    ]
-    assert [one.text for one in findings] == texts
+    values = SHIPPED | {name: value}
+    own = [(good or key != name, f"{key} = {values[key]:g}, this gripper allows {ALLOWED[key]}") for key in SHIPPED]
+    assert findings == [(True, "no fault"), (True, "homed"), *own, (True, "grasping state HOLDING, width 50.0 mm")]
 
 
 async def test_a_latched_fault_is_named_and_only_the_operator_clears_it():

@@ -80,7 +80,7 @@ async def test_a_controller_that_would_move_more_slowly_than_ordered_is_not_star
         cell.cabinet.speed_ratio = 50
         arm = cell.settings.make_arm()
         findings = await arm.checks()["robot"]()
-        with pytest.raises(DriverError, match=r"speed ratio is 50 % .expected 100.*; set it on the pendant"):
+        with pytest.raises(DriverError, match=r"^robot: speed ratio is 50 % .expected 100.*; set it on the pendant"):
             await arm.start(lambda _event: None)
         await arm.close()
         assert not cell.cabinet.running

@@ -102,10 +102,11 @@ def test_a_stop_that_was_refused_is_asked_for_again_until_the_controller_reports
         ({"ctrlstate": "motoron"}, False, [True, True, True, True, True]),
         ({"ctrlstate": "guardstop"}, True, [True, True, False, True, True]),
         ({"ctrlexecstate": "running"}, True, [True, True, True, False, True]),
+        ({"ctrlexecstate": "running", "ctrlstate": "motoroff"}, True, [True, True, True, False, True]),
     ],
 )
 def test_what_keeps_a_program_from_being_started_is_found_before_it_is(state, switch, good):
-    """Mode, motors and program of the controller; its kind and its speed are only told."""
+    """Mode, motors and program of the controller; its kind and its speed are only told. Nor are motors left on."""
     findings = asked(RwsClient.findings, state, switch_motors_on=switch)
     assert [finding.good for finding in findings] == good
     assert findings[4].text == "speed ratio 100 %"
