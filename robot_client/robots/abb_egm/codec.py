@@ -1,7 +1,7 @@
 """EGM datagrams, both directions: robot state (EgmRobot) and guidance (EgmSensor).
 
-Positions mm, quaternion w, x, y, z (unit), joints deg, speeds mm/s and deg/s, times ms of the sender's clock. Decoding
-refuses datagrams that a controller or a guide must not act on: unparsable, oversized, non-finite, no unit quaternion.
+Positions mm, quaternion w, x, y, z (unit), joints deg, times ms of the sender's clock. Decoding refuses datagrams that
+a controller or a guide must not act on: unparsable, oversized, non-finite, no unit quaternion.
 """
 
 import math
@@ -66,12 +66,11 @@ class RobotState:
 
 @dataclass(frozen=True, slots=True)
 class Guidance:
-    """One EgmSensor message: a position target or a speed reference (mm/s, deg/s)."""
+    """One EgmSensor message: a position target."""
 
     sequence: int
     time_ms: int = 0
     pose: Pose | None = None
-    speed: tuple[float, ...] = ()
 
 
 def _check_finite(name: str, values: Iterable[float]) -> None:
@@ -137,9 +136,6 @@ def encode_guidance(guidance: Guidance) -> bytes:
     message.header.mtype = pb.EgmHeader.MSGTYPE_CORRECTION
     if guidance.pose is not None:
         _put_pose(message.planned.cartesian, _checked("target pose", guidance.pose))
-    if guidance.speed:
-        _check_finite("speed reference", guidance.speed)
-        message.speedRef.cartesians.value.extend(guidance.speed)
     return bytes(message.SerializeToString())
 
 
@@ -147,11 +143,9 @@ def decode_guidance(datagram: bytes) -> Guidance:
     """Read EgmSensor bytes (the controller's side); raises EgmError."""
     message = pb.EgmSensor()
     _parse(message, datagram)
-    speed = tuple(message.speedRef.cartesians.value)
-    _check_finite("speed", speed)
     has_pose = message.planned.cartesian.HasField("pos")
     pose = _get_pose(message.planned.cartesian, "target pose") if has_pose else None
-    return Guidance(message.header.seqno, message.header.tm, pose, speed)
+    return Guidance(message.header.seqno, message.header.tm, pose)
 
 
 def encode_robot(state: RobotState) -> bytes:

@@ -21,11 +21,10 @@ class RapidTextError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class GuardState:
-    """Answer of the guard: request number, measured pose, motion under way, stop flag raised."""
+    """Answer of the guard: request number, measured pose, stop flag raised."""
 
     number: int
     pose: Pose
-    moving: bool
     stopped: bool
 
 
@@ -72,9 +71,9 @@ def _number(text: str) -> float:
 def decode_guard(text: str) -> GuardState:
     """Read the guard's answer (without ``#``); raises ValueError."""
     match text.split():
-        case ["P", number, x, y, z, qw, qx, qy, qz, "0" | "1" as moving, "0" | "1" as stopped]:
+        case ["P", number, x, y, z, qw, qx, qy, qz, "0" | "1", "0" | "1" as stopped]:
             pose = Pose(*map(_number, (x, y, z, qw, qx, qy, qz))).check("guard pose")
-            return GuardState(int(_number(number)), pose, moving == "1", stopped == "1")
+            return GuardState(int(_number(number)), pose, stopped == "1")
     raise RapidTextError(f"the guard answered {text[:MAX_TEXT]!r}, expected P with ten fields")
 
 

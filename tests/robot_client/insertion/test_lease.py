@@ -34,13 +34,6 @@ def descending(pause_s=0.0):
     return run(TO_DESCENT, State(PLAN.model_copy(update={"pause_s": pause_s})))
 
 
-@pytest.mark.parametrize(("late_s", "lag_s"), [(None, 0.04), (0.01, 0.04), (0.12, 0.12)])
-def test_what_was_measured_of_the_lateness_shortens_a_lease_and_never_lengthens_it(late_s, lag_s):
-    lease = Lease().late_by(late_s)
-    assert lease.stop_lag_s == lag_s
-    assert lease.lasts_s(10.0) == pytest.approx(0.15 - lag_s)
-
-
 @pytest.mark.parametrize(("speed_mm_s", "travel_mm"), [(5.0, 1.5), (15.0, 1.5), (25.0, 2.5), (60.0, 4.0)])
 def test_the_travel_without_a_judged_frame_is_limited_by_the_speed(speed_mm_s, travel_mm):
     assert Lease(travel_mm=4.0).at_most(speed_mm_s).travel_mm == pytest.approx(travel_mm)

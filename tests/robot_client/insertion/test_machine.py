@@ -256,22 +256,6 @@ def test_fifteen_attempts_are_enough():
     assert (state.phase, state.attempt) == (Phase.FAILED, 15)
 
 
-def test_a_service_with_a_lost_camera_or_another_protocol_is_refused_before_any_motion():
-    lost = wire.CameraEntry(finger="left", source="s", state="lost")
-    for message in (hello(cameras=(lost,)), hello(protocol=1)):
-        state, commands = run([TO_ARMING[0], service(message)])
-        assert state.phase is Phase.FAILED
-        assert not [c for c in commands if isinstance(c, MOTION_COMMANDS)]
-
-
-def test_a_plan_that_does_not_fit_the_box_never_starts():
-    deep = PLAN.model_copy(update={"expected_depth_mm": 31.0})
-    state, commands = step(State(deep), TO_ARMING[0])
-    assert state.phase is Phase.FAILED
-    assert "z_mm" in state.reason
-    assert not [c for c in commands if isinstance(c, MOTION_COMMANDS)]
-
-
 FAST = {"speed_mm_s": 81.0, "acceleration_mm_s2": 1600.0, "jerk_mm_s3": 0.0}
 
 

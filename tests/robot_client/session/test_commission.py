@@ -178,14 +178,6 @@ def test_no_record_has_all_signs_and_not_yet_their_mistakes(tmp_path, monkeypatc
     assert all(bool(record.named) == (len(record.signs) == len(SIDES)) for record in kept)
 
 
-def test_a_cell_with_the_wrong_signs_is_not_pressed(tmp_path):
-    cell = Cell(sign=-1)
-    running = commissioning(cell, tmp_path / "pressed.json")
-    running.press = cell.probe
-    assert asyncio.run(running.run(0)).presses == ()
-    assert len(cell.probed) == len(SIDES)
-
-
 ENDLESS = """
 import asyncio, sys
 from pathlib import Path
@@ -216,9 +208,12 @@ def test_a_kill_at_any_point_loses_no_probe_that_was_kept(least_n, tmp_path):
 
 
 def test_nothing_goes_on_in_a_cell_with_the_wrong_signs(tmp_path):
+    """It is not timed, not pressed and not probed."""
     cell = Cell(sign=-1)
-    record = asyncio.run(commissioning(cell, tmp_path / "record.json").run(20))
-    assert (len(cell.probed), record.probes) == (len(SIDES), ())
+    running = commissioning(cell, tmp_path / "record.json")
+    running.press, running.press_at = cell.probe, lambda x_mm, theta_deg, _fast: cell.probe(x_mm, theta_deg)
+    record = asyncio.run(running.run(20))
+    assert (len(cell.probed), record.timed, record.presses, record.probes) == (len(SIDES), (), (), ())
     assert record.named == (WIRINGS[-1, 1],)
     assert read_record(tmp_path / "record.json").named == record.named
 

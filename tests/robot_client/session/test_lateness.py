@@ -235,9 +235,3 @@ def test_a_cell_that_cannot_be_timed_is_probed_all_the_same(tmp_path):
 
     record = timed(TooSlow(), tmp_path / "record.json")
     assert (record.late_s, record.labelled_n) == (None, 6)
-
-
-def test_a_cell_with_the_wrong_signs_is_not_timed(tmp_path):
-    cell = Pressed(sign=-1)
-    timed(cell, tmp_path / "record.json")
-    assert cell.presses == []
