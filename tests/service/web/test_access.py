@@ -7,7 +7,6 @@ import socket
 import ssl
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import httpx
@@ -15,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.frames import Frame, Opcode
 from websockets.sync.client import connect
 
 from service.contract import wire
@@ -22,6 +22,7 @@ from service.settings import SettingsError, read_settings
 from service.web import middleware, server
 from service.web.middleware import BURST_S, Rate
 from tests.service.conftest import LiveService, live_service
+from tests.waiting import wait_for
 
 ROOT = Path(__file__).parents[3]
 WATCH, DRIVE = "a-token-for-watching", "a-token-for-driving"
@@ -220,15 +221,24 @@ def test_every_public_address_needs_a_token(host: str) -> None:
 
 
 def test_a_client_that_does_not_read_is_cut_off_and_the_service_goes_on(live: LiveService) -> None:
-    """A watcher with a full receive buffer must not hold up the perception thread."""
+    """It asks until its answers fill every buffer on their way and the service's queue of 256."""
+    listeners_n = len(live.station.hub._listeners)
+    head = "GET /v1/insertions/ws HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    name = {"insertion_id": "deaf"}
+    beat = Frame(Opcode.TEXT, wire.ClientHeartbeat(count=0, **name).model_dump_json().encode())
+    greeting = wire.ClientHello(client="test", role="watch", **name).model_dump_json().encode()
     with socket.create_connection(("127.0.0.1", live.port), 20) as deaf:
         deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        head = (
-            "GET /v1/cameras/left/frames HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        )
-        deaf.sendall(f"{head}Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {'A' * 22}==\r\n\r\n".encode())
+        deaf.sendall(f"{head}Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: {'A' * 22}==\r\n".encode())
+        deaf.sendall(f"Authorization: {live.bearer['Authorization']}\r\n\r\n".encode())
         assert deaf.recv(12) == b"HTTP/1.1 101"
-        time.sleep(0.5)
+        deaf.sendall(Frame(Opcode.TEXT, greeting).serialize(mask=True))
+        wait_for(lambda: len(live.station.hub._listeners) > listeners_n)
+        deaf.settimeout(0.5)
+        with contextlib.suppress(OSError):
+            while True:
+                deaf.sendall(beat.serialize(mask=True) * 200)
+        wait_for(lambda: len(live.station.hub._listeners) == listeners_n)
         with connect(live.url("/v1/insertions/ws", "ws"), additional_headers=live.bearer, compression=None) as link:
             link.send(wire.ClientHello(insertion_id="beside-deaf", client="test").model_dump_json())
             assert wire.parse_service(link.recv(20)).type == "hello"
