@@ -24,10 +24,7 @@ ROBOTS = {
     "abb_rapid": "robot_client.robots.abb_rapid.driver",
     "dry_run": "robot_client.robots.dry_run.driver",
 }
-GRIPPERS = {
-    "wsg50": "robot_client.grippers.wsg50.driver",
-    "dry_run": "robot_client.grippers.dry_run.driver",
-}
+GRIPPERS = {"wsg50": "robot_client.grippers.wsg50.driver", "dry_run": "robot_client.grippers.dry_run.driver"}
 
 
 def settings_of(registry: dict[str, str], name: object) -> type[DeviceSettings]:

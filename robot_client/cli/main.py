@@ -70,14 +70,7 @@ def _parser() -> argparse.ArgumentParser:
             add_options(command)
         return command
 
-    add(
-        "insert",
-        "insert the held object; a rehearsal without --live",
-        _connection,
-        _mode,
-        _uncommissioned,
-        _insertion,
-    )
+    add("insert", "insert the held object; a rehearsal without --live", _connection, _mode, _uncommissioned, _insertion)
     summary = "pick, insert and release, part after part; a rehearsal without --live"
     cycling = add("cycle", summary, _connection, _mode, _uncommissioned)
     cycling.add_argument("--parts", type=int, metavar="N", help="stop after N inserted parts (default: never)")

@@ -31,6 +31,7 @@ from tests.robot_client.cycle_cell import (
 )
 from tests.robot_client.insertion.stories import RAMPS
 from tests.robot_client.live_cell import bench, undisturbed
+from tests.waiting import until
 
 
 def fastest_mm_s(trace, seconds=1.0):
@@ -171,12 +172,10 @@ def test_a_person_pauses_goes_on_and_stops_after_a_part():
             running = cycle_of(cell, lines)
             running.pace.order("pause")
             task = asyncio.create_task(running.run(None))
-            while "paused" not in lines:  # noqa: ASYNC110
-                await asyncio.sleep(0.05)
+            await until(lambda: "paused" in lines)
             assert running.count.inserted_n == 0
             running.pace.order("resume")
-            while "part 1: picking" not in lines:  # noqa: ASYNC110
-                await asyncio.sleep(0.05)
+            await until(lambda: "part 1: picking" in lines)
             running.pace.order("stop")
             return (await task).inserted_n
 
@@ -193,8 +192,7 @@ def test_a_plc_starts_each_part_and_is_told_when_it_is_done():
             async def plc():
                 for _ in range(2):
                     for name, value in (("doTactileReady", 1.0), ("doTactileDone", 1.0)):
-                        while signals[name] != value:  # noqa: ASYNC110
-                            await asyncio.sleep(0.01)
+                        await until(lambda name=name, value=value: signals[name] == value)
                         written.append(name)
                         signals["diTactileStart"] = 1.0 if name == "doTactileReady" else 0.0
 
@@ -218,8 +216,7 @@ def test_a_paused_cycle_is_not_ready_for_a_plc():
             for word, line in (("", "waiting for the PLC"), ("pause", "paused"), ("resume", "waiting for the PLC")):
                 running.pace.order(word)
                 lines.clear()
-                while line not in lines or signals["doTactileReady"] == (line == "paused"):  # noqa: ASYNC110
-                    await asyncio.sleep(0.01)
+                await until(lambda line=line: line in lines and signals["doTactileReady"] != (line == "paused"))
                 levels.append(signals["doTactileReady"])
             running.pace.order("stop")
             return (await task).inserted_n, levels

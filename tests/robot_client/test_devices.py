@@ -207,10 +207,7 @@ def test_a_driver_that_lacks_an_order_is_refused_by_name(config, capsys):
 @pytest.mark.parametrize(
     ("toml", "expect"),
     [
-        (
-            '[gripper]\ndevice = "claw"',
-            "gripper.device: 'claw' is unknown; allowed: dry_run, wsg50 (a module of your",
-        ),
+        ('[gripper]\ndevice = "claw"', "gripper.device: 'claw' is unknown; allowed: dry_run, wsg50 (a module of your"),
         ('[robot]\ndevice = "abb_egn"', "robot.device: 'abb_egn' is unknown; did you mean 'abb_egm'?"),
         ('[gripper]\ndevice = "wsg5"', "gripper.device: 'wsg5' is unknown; did you mean 'wsg50'?"),
         ("[gripper]\ndevice = 3", "gripper.device: 3 is unknown; allowed: dry_run, wsg50"),
@@ -232,12 +229,7 @@ def test_an_unknown_device_or_key_is_refused_with_file_key_and_nearest(tmp_path,
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "TACTILE_INSERTION_RWS_PASWORD",
-        "TACTILE_RWS_PASSWORD",
-        "TACTILE_INSERTION_X",
-        "tactile_insertion_rws_password",
-    ],
+    ["TACTILE_INSERTION_RWS_PASWORD", "TACTILE_RWS_PASSWORD", "TACTILE_INSERTION_X", "tactile_insertion_rws_password"],
 )
 def test_a_variable_that_no_device_reads_is_refused_with_the_nearest(monkeypatch, name):
     monkeypatch.setenv(name, "secret")

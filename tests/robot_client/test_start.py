@@ -1,6 +1,5 @@
 """Faults before the start are named, nothing moves, and a foreign program is never stopped."""
 
-import asyncio
 import re
 
 import pytest
@@ -12,6 +11,7 @@ from robot_client.settings import SettingsError, load_settings
 from service.contract import wire
 from service.web.routes.insertion import HELLO_TIMEOUT_S
 from tests.robot_client.live_cell import bench, outcome, side_by_side
+from tests.waiting import until
 
 MUTE_RWS = {
     "robot": {"rws": {"request_timeout_s": 0.3, "stop_timeout_s": 0.3}}
@@ -78,8 +78,7 @@ PHASES = {
 
 
 async def _still(cell):
-    while not cell.trace:  # noqa: ASYNC110 refused before the emulator's first cycle
-        await asyncio.sleep(0.004)
+    await until(lambda: cell.trace)
     assert len({pose.position_mm for _, _, pose in cell.trace}) == 1, "the arm moved"
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from robot_client.insertion.state import Phase
 from tests.robot_client.live_cell import bench
+from tests.waiting import until
 
 BOUND_MM = 1.5
 SLOW = {
@@ -37,8 +38,7 @@ async def unwatched(break_it):
 
         cell.service.say = noted
         insertion = asyncio.create_task(cell.insert(x_mm=1.0, theta_deg=0.0))
-        while not insertion.done() and len(captures_s) < 8:  # noqa: ASYNC110 told by the service, to nobody here
-            await asyncio.sleep(0.005)
+        await until(lambda: insertion.done() or len(captures_s) >= 8)
         break_it(cell)
         state = await insertion
         await asyncio.sleep(0.3)

@@ -14,14 +14,7 @@ from typing import Any
 import httpx
 
 from robot_client.ports import NOT_CONFIRMED, Finding
-from robot_client.robots.abb_rws.generation import (
-    CHALLENGE,
-    Generation,
-    Order,
-    Resource,
-    RwsError,
-    credentials,
-)
+from robot_client.robots.abb_rws.generation import CHALLENGE, Generation, Order, Resource, RwsError, credentials
 from robot_client.robots.abb_rws.rws1 import RWS1
 from robot_client.robots.abb_rws.rws2 import MEDIA, RWS2
 from robot_client.robots.abb_rws.settings import RwsSettings

@@ -1,14 +1,8 @@
 """An insertion fed to the state machine, event by event: the messages, the plan, and the way to each phase."""
 
-from robot_client.insertion.events import (
-    Arrived,
-    Begin,
-    FromService,
-    Grasped,
-    Standstill,
-)
+from robot_client.insertion.events import MOTION_COMMANDS, Arrived, Begin, FromService, Grasped, Hold, Standstill
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.machine import Plan, State, step
+from robot_client.insertion.machine import Phase, Plan, State, step
 from robot_client.insertion.motion import Ramp, Ramps
 from service.contract import wire
 
@@ -86,6 +80,13 @@ def run(events, state=None):
         state, commands = step(state, event)
         all_commands += commands
     return state, all_commands
+
+
+def held(state, commands):
+    """Why an insertion has failed: with its last step the arm is held, and nothing moves."""
+    assert (state.phase, type(commands[0])) == (Phase.FAILED, Hold)
+    assert not [command for command in commands if isinstance(command, MOTION_COMMANDS)]
+    return state.reason
 
 
 def at(pose, kind=Arrived, at_s=0.0):

@@ -126,8 +126,7 @@ def test_the_descent_reaches_ten_mm_per_second_and_takes_the_way_straight_down()
 
 
 @pytest.mark.parametrize(
-    "target",
-    [pose(x=40.1), pose(x=-41), pose(y=21), pose(z=4.9), pose(z=151), pose(yaw=46), pose(yaw=-46)],
+    "target", [pose(x=40.1), pose(x=-41), pose(y=21), pose(z=4.9), pose(z=151), pose(yaw=46), pose(yaw=-46)]
 )
 def test_no_move_leaves_the_box(target):
     guide = MotionGuide(Limits(), RAMPS, pose())

@@ -25,6 +25,7 @@ from tests.robot_client.insertion.stories import (
     armed,
     at,
     correction,
+    held,
     run,
     service,
 )
@@ -124,11 +125,7 @@ def test_a_tilt_beyond_the_bound_is_refused_and_nothing_moves(limits, tilt_deg, 
     message = wire.Straighten.model_construct(
         type="straighten", insertion_id=ID, attempt=2, tilt_deg=tilt_deg, detail="d"
     )
-    state, commands = run([service(message)], state)
-    assert state.phase is Phase.FAILED
-    assert says in state.reason
-    assert isinstance(commands[0], Hold)
-    assert not any(isinstance(command, Move) for command in commands)
+    assert says in held(*step(state, service(message)))
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,7 @@ from robot_client.insertion.events import Standstill, Stood
 from robot_client.insertion.limits import LimitError
 from robot_client.insertion.state import REFUSED, Phase, State
 from robot_client.ports import DriverError
-from robot_client.session.commission.lateness import (
-    MOST_N,
-    PLACE,
-    Press,
-    late_s,
-    next_is_fast,
-    slow_and_fast,
-)
+from robot_client.session.commission.lateness import MOST_N, PLACE, Press, late_s, next_is_fast, slow_and_fast
 from robot_client.session.commission.record import Record, read_record
 from robot_client.session.commission.run import GRASPS_N
 from robot_client.session.commission.wiring import SIDES

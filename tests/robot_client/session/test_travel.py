@@ -134,8 +134,7 @@ EDGE = {"z_mm": [10.0, 80.0], "x_mm": [-20.0, 20.0], "y_mm": [-5.0, 5.0]}
 
 @pytest.mark.parametrize("device", ["abb_egm", "abb_rapid"])
 @pytest.mark.parametrize(
-    ("at_mm", "leaves"),
-    [((5.0, 0.0, 9.98), True), ((-20.02, 5.02, 45.0), True), ((-20.2, 0.0, 45.0), False)],
+    ("at_mm", "leaves"), [((5.0, 0.0, 9.98), True), ((-20.02, 5.02, 45.0), True), ((-20.2, 0.0, 45.0), False)]
 )
 async def test_an_arm_that_was_sent_to_the_edge_of_the_box_leaves_it_from_a_little_beyond(device, at_mm, leaves):
     async with asyncio.timeout(60.0), bench(device=device, overrides={"limits": EDGE}) as cell:

@@ -46,12 +46,7 @@ REPLIES = [
     ("AA AA AA 40 06 00 00 00 00 00 00 00 A7 28", 0x40, Status.SUCCESS, (0,)),
     ("AA AA AA 41 03 00 00 00 00 DE 42", 0x41, Status.SUCCESS, (0,)),
     ("AA AA AA 43 06 00 00 00 00 00 20 41 C8 9B", 0x43, Status.SUCCESS, (10.0,)),
-    (
-        f"AA AA AA 53 22 00 00 00 {struct.pack('<8f', *LIMITS).hex(' ')} 75 30",
-        0x53,
-        Status.SUCCESS,
-        LIMITS,
-    ),
+    (f"AA AA AA 53 22 00 00 00 {struct.pack('<8f', *LIMITS).hex(' ')} 75 30", 0x53, Status.SUCCESS, LIMITS),
     ("AA AA AA 22 02 00 00 00 A7 2E", 0x22, Status.SUCCESS, ()),
     ("AA AA AA 25 02 00 1A 00 6D 48", 0x25, Status.CMD_PENDING, ()),
     ("AA AA AA 25 02 00 00 00 22 87", 0x25, Status.SUCCESS, ()),

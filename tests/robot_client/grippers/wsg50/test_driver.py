@@ -17,6 +17,7 @@ from simulation.cell.emulators.net import bind_tcp, port_of
 from simulation.cell.emulators.wsg50 import Wsg50Emulator
 from simulation.cell.emulators.wsg50_gripper import Gripper
 from tests.robot_client.live_cell import Part
+from tests.waiting import until
 
 
 class Bench:
@@ -247,8 +248,7 @@ async def test_a_close_that_is_cut_off_beside_a_silent_gripper_leaves_no_connect
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.1):
                 await cell.driver.close()
-        while cell.emulator.connection is not None:  # noqa: ASYNC110 the bench ends a wait in vain
-            await asyncio.sleep(0.01)
+        await until(lambda: cell.emulator.connection is None)
 
 
 def test_each_change_of_the_grasping_state_means_what_it_says():

@@ -10,6 +10,7 @@ from robot_client.grippers.wsg50.driver import Wsg50
 from robot_client.grippers.wsg50.settings import Settings
 from tests.robot_client.clock import stopped_clock
 from tests.robot_client.grippers.wsg50.test_driver import bench
+from tests.waiting import until
 
 
 @pytest.fixture
@@ -51,14 +52,12 @@ def test_the_state_is_looked_at_four_times_within_the_silence_that_is_allowed(cl
 async def test_a_client_that_is_stopped_while_it_connects_says_that_it_leaves():
     async with bench() as cell:
         connecting = asyncio.create_task(cell.driver.connect())
-        while cell.emulator.connection is None:  # noqa: ASYNC110 the emulator announces nothing
-            await asyncio.sleep(0)
+        await until(lambda: cell.emulator.connection is not None, 0)
         connecting.cancel()
         with pytest.raises(asyncio.CancelledError):
             await connecting
         await cell.anew()
-        while cell.emulator.connection is not None:  # noqa: ASYNC110
-            await asyncio.sleep(0.001)
+        await until(lambda: cell.emulator.connection is None, 0)
     assert cell.emulator.counters.fast_stops_by_disconnect == 0
 
 
@@ -68,8 +67,7 @@ async def test_an_interrupt_that_comes_together_with_a_reply_is_not_lost(turns):
     async with bench(present=False, holding=False) as cell:
         await cell.driver.connect()
         closing = asyncio.create_task(cell.driver.finds_nothing())
-        while "SET_FORCE_LIMIT" not in cell.asked:  # noqa: ASYNC110
-            await asyncio.sleep(0)
+        await until(lambda: "SET_FORCE_LIMIT" in cell.asked, 0)
         for _ in range(turns):
             await asyncio.sleep(0)
         closing.cancel()

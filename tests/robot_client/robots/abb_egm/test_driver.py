@@ -15,6 +15,7 @@ from robot_client.robots.abb_egm import codec
 from robot_client.robots.abb_egm.driver import EgmArm
 from robot_client.robots.abb_egm.settings import Settings
 from robot_client.settings import load_settings
+from tests.waiting import until
 
 
 class Wire:
@@ -74,8 +75,7 @@ async def test_an_interrupt_that_comes_together_with_the_first_datagram_is_not_l
     state = codec.RobotState(0, 0, codec.Pose(5.0, 0.0, 60.0, 0.0, 1.0, 0.0, 0.0))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
         robot.sendto(codec.encode_robot(state), arm._socket.getsockname())
-        while not arm._ready.is_set():  # noqa: ASYNC110
-            await asyncio.sleep(0)
+        await until(arm._ready.is_set, 0)
     for _ in range(turns):
         await asyncio.sleep(0)
     done = starting.done()

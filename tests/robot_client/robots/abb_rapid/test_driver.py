@@ -19,6 +19,7 @@ from simulation.cell.emulators.abb.rapid import REACTION_S, RapidServers
 from simulation.cell.emulators.faults import FaultBoard
 from simulation.cell.emulators.net import bind_tcp
 from tests.robot_client.live_cell import bench, undisturbed
+from tests.waiting import until
 
 
 def pose(x=5.0, z=45.0, yaw=0.0):
@@ -33,8 +34,7 @@ async def connected(**options):
     clock = asyncio.create_task(run_clock(peer))
     cabinet.state = "motoron"
     cabinet.request_start()
-    while not cabinet.running:  # noqa: ASYNC110 set by the clock
-        await asyncio.sleep(0.01)
+    await until(lambda: cabinet.running)
     ports = {"motion_port": peer.motion_port, "guard_port": peer.guard_port}
     settings = Settings(host="127.0.0.1", poll_s=0.02, **ports)
     arm, events = SocketArm(settings, Limits(), Ramps()), asyncio.Queue()
@@ -61,8 +61,7 @@ async def soon(events):
 
 
 async def at_rest(peer):
-    while peer.moving or not peer.cabinet.arm.at_rest:  # noqa: ASYNC110 set by the clock
-        await asyncio.sleep(0.01)
+    await until(lambda: not peer.moving and peer.cabinet.arm.at_rest)
     return peer.cabinet.arm.pose.position_mm[2]
 
 
@@ -79,8 +78,7 @@ async def test_a_move_is_released_carried_out_and_reported():
 async def test_a_hold_goes_to_the_guard_at_once_and_standstill_follows():
     async with connected() as (peer, arm, events):
         arm.move(pose(z=20.0), "descend", 1e9)
-        while peer.cabinet.arm.pose.position_mm[2] > 42.0:  # noqa: ASYNC110 moved by the clock
-            await asyncio.sleep(0.004)
+        await until(lambda: peer.cabinet.arm.pose.position_mm[2] <= 42.0)
         flagged = []
         peer.cabinet.board = Flag(peer, flagged, peer.cabinet.board)
         arm.hold("slip", stop=False)

@@ -256,12 +256,7 @@ def test_a_standstill_is_waited_for_anew_after_each_hold_and_said_once(clock):
 
 async def test_an_arm_that_was_never_started_knows_nothing_moves_nothing_and_closes():
     arm = SocketArm(Settings(), Limits(), Ramps())
-    assert (arm.position(), arm.target(), arm.signals(), arm.statistics()) == (
-        None,
-        None,
-        None,
-        {"guard_answers": 0},
-    )
+    assert (arm.position(), arm.target(), arm.signals(), arm.statistics()) == (None, None, None, {"guard_answers": 0})
     with pytest.raises(LimitError, match="not started"):
         arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0), "travel")
     (finding,) = await arm.checks()["guidance"]()

@@ -14,6 +14,7 @@ from robot_client.insertion.motion import CYCLE_S, SETTLE_S, Ramps
 from robot_client.robots.dry_run import driver
 from robot_client.robots.dry_run.driver import Settings
 from tests.robot_client.clock import stopped_clock
+from tests.waiting import until
 
 
 @pytest.fixture
@@ -52,8 +53,7 @@ async def test_a_move_is_walked_target_by_target_and_its_arrival_reported(clock)
 async def test_a_hold_freezes_the_target_and_its_standstill_says_for_how_long(clock):
     async with rehearsed() as (arm, way, event):
         arm.move(arm.target().at_height(60.0), "descend", 1e9)
-        while len(way) < 200:  # noqa: ASYNC110 set by the rehearsal
-            await asyncio.sleep(0)
+        await until(lambda: len(way) >= 200)
         arm.hold("slip", stop=False)
         held = arm.target()
         stands = await event()
@@ -69,8 +69,7 @@ async def test_a_lease_that_ends_is_a_failure_as_with_the_arm_and_one_that_is_re
         assert isinstance(await event(), Arrived)
         arm.move(arm.target().at_height(60.0), "descend", 3.0)
         clock.now_s = 3.0
-        while len(way) < 2000:  # noqa: ASYNC110 set by the rehearsal
-            await asyncio.sleep(0)
+        await until(lambda: len(way) >= 2000)
         clock.now_s = 3.0 + PAUSE_S + 0.01
         failure = await event()
         assert (type(failure), failure.source, failure.code) == (Failure, "arm", "unwatched")
