@@ -147,7 +147,7 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm", 
     rws_socket, wsg_socket = bind_tcp(0, "RWS"), bind_tcp(0, "gripper")
     if omnicore:
         gate = Gate(board, Basic)
-        rws = HttpServer(create_app2(cabinet, frames, gate), rws_socket, omnicore)
+        rws = HttpServer(create_app2(cabinet, gate), rws_socket, omnicore)
     else:
         gate = Gate(board)
         rws = HttpServer(create_app(cabinet, frames, gate), rws_socket)

@@ -79,21 +79,6 @@ async def test_signals_are_read_and_switched_with_either_generation(omnicore):
         assert await client.read_signal("doSlipStop")
 
 
-async def test_the_emulated_omnicore_answers_the_core_that_foreign_clients_ask_for(certificate):
-    auth, head = ("Default User", "robotics"), {"Accept": "application/hal+json;v=2.0"}
-    async with bench(omnicore=certificate) as cell:
-        rws = cell.settings.robot.rws
-        async with httpx.AsyncClient(base_url=rws.url, auth=auth, headers=head, verify=rws.trusted) as client:
-            written = {"Content-Type": "text/plain;v=2.0"}
-            put = await client.put("/fileservice/$home/a.mod", content=b"MODULE a", headers=written)
-            paths = ("/fileservice/$home", "/rw/rapid/tasks/T_ROB1/modules", "/rw/cfg/moc/robot/instances", "/users")
-            answers = [await client.get(path) for path in paths]
-    file, module, robot, user = [answer.json()["_embedded"]["resources"][0] for answer in answers]
-    assert put.status_code == 201
-    assert file["_title"] == "a.mod"
-    assert (module["_type"], robot["_title"], user["_type"]) == ("rap-module-info-li", "ROB_1", "user-li")
-
-
 async def error_of(changes, **options):
     async with reached(changes, **options) as (client, _):
         with pytest.raises(RwsError) as refused:
