@@ -57,16 +57,11 @@ async def form_of(request: Request) -> dict[str, str]:
 
 def add_more(app: FastAPI, answer: Answer) -> None:
     """Add the routes; errors are answered by the app's handlers of KeyError (404) and ValueError (400)."""
-    add_core(app, answer)
+    _add_users(app, answer)
+    _add_files(app, answer)
+    _add_configuration(app, answer)
     _add_modules(app, answer)
     _add_queues(app, answer)
-
-
-def add_core(app: FastAPI, answer: Answer, media: str = XHTML_TYPE) -> None:
-    """Users, files and configuration, which both generations have at the same addresses."""
-    _add_users(app, answer, media)
-    _add_files(app, answer, media)
-    _add_configuration(app, answer)
 
 
 def modules() -> list[State]:
@@ -74,7 +69,7 @@ def modules() -> list[State]:
     return [State("rap-module-info-li", name, {"name": name, "type": kind}) for name, kind in MODULES.items()]
 
 
-def _add_users(app: FastAPI, answer: Answer, media: str) -> None:
+def _add_users(app: FastAPI, answer: Answer) -> None:
     asked: list[str] = []
 
     @app.get("/users")  # user_page: the users who are logged in
@@ -83,17 +78,17 @@ def _add_users(app: FastAPI, answer: Answer, media: str) -> None:
 
     @app.post("/users")  # user_register_page: 201 with the user's resource
     async def register() -> Response:
-        return Response(status_code=201, headers={"Location": "/users/1"}, media_type=media)
+        return Response(status_code=201, headers={"Location": "/users/1"}, media_type=XHTML_TYPE)
 
     @app.get("/users/rmmp")  # user_rmmp_resource_page
     async def granted(request: Request) -> Response:
         privilege = "modify" if asked else "none"
         return answer(request, [State("user-rmmp", "state", {"userid": "0", "privilege": privilege})])
 
-    @app.post("/users/rmmp")  # user_rmmp_request_page: 202 accepted, with the media of the answer
+    @app.post("/users/rmmp")  # user_rmmp_request_page: 202 accepted, as XHTML
     async def ask(request: Request) -> Response:
         asked[:] = [] if request.query_params.get("action") == "cancel" else ["modify"]
-        return Response(status_code=202, media_type=media)
+        return Response(status_code=202, media_type=XHTML_TYPE)
 
     @app.get("/users/rmmp/poll")  # user_rmmp_poll_page: nothing to poll without a request
     async def poll(request: Request) -> Response:
@@ -101,7 +96,7 @@ def _add_users(app: FastAPI, answer: Answer, media: str) -> None:
         return answer(request, [State("user-rmmp-poll", "state", shown)])
 
 
-def _add_files(app: FastAPI, answer: Answer, media: str) -> None:
+def _add_files(app: FastAPI, answer: Answer) -> None:
     disk = Disk()
 
     @app.get("/fileservice/{path:path}")  # fs_file_get_page, fs_directory_get_page
@@ -112,7 +107,7 @@ def _add_files(app: FastAPI, answer: Answer, media: str) -> None:
 
     @app.put("/fileservice/{path:path}")  # fs_file_upload_page: 201 for a new file, 200 for one replaced
     async def write(request: Request, path: str) -> Response:
-        return Response(status_code=201 if disk.put(path, await request.body()) else 200, media_type=media)
+        return Response(status_code=201 if disk.put(path, await request.body()) else 200, media_type=XHTML_TYPE)
 
     @app.delete("/fileservice/{path:path}")  # fs_file_actions_page: fs-delete
     async def delete(path: str) -> Response:

@@ -56,9 +56,8 @@ def watched(cabinet: Cabinet, path: str) -> Watched:
 class Subscriptions:
     """The open subscriptions of one controller."""
 
-    def __init__(self, cabinet: Cabinet, protocol: str) -> None:
+    def __init__(self, cabinet: Cabinet) -> None:
         self._cabinet = cabinet
-        self._protocol = protocol
         self._numbers = itertools.count(1)
         self._open: dict[int, list[Watched]] = {}
 
@@ -80,7 +79,7 @@ class Subscriptions:
         if resources is None:
             await socket.close(1008)
             return
-        await socket.accept(subprotocol=self._protocol)
+        await socket.accept(subprotocol=PROTOCOL)
         leaving = asyncio.create_task(socket.receive())
         try:
             await self._notify(socket, resources, leaving)
@@ -112,20 +111,14 @@ class Subscriptions:
             await asyncio.wait({leaving}, timeout=_PERIOD_S)
 
 
-def add_subscriptions(
-    app: FastAPI,
-    cabinet: Cabinet,
-    admits: Callable[[WebSocket], bool],
-    protocol: str = PROTOCOL,
-) -> None:
+def add_subscriptions(app: FastAPI, cabinet: Cabinet, admits: Callable[[WebSocket], bool]) -> None:
     """Routes ``POST /subscription``, ``DELETE /subscription/N[/PATH]`` (subsrv_group_unsub_page) and ``ws /poll/N``."""
-    subscriptions = Subscriptions(cabinet, protocol)
+    subscriptions = Subscriptions(cabinet)
 
     @app.post("/subscription")
     async def subscribe(request: Request) -> Response:
         number = subscriptions.create(await fields(request))
-        scheme = "wss" if request.url.scheme == "https" else "ws"
-        url = f"{scheme}://{request.headers.get('host', '')}/poll/{number}"
+        url = f"ws://{request.headers.get('host', '')}/poll/{number}"
         body = f'<html><body><div class="state"><a href="{url}" rel="self"></a></div></body></html>'
         return Response(body, 201, headers={"Location": url}, media_type="application/xhtml+xml")
 
