@@ -59,7 +59,7 @@ def examine_pc(recordings: Path) -> Iterator[Finding]:
     load = os.getloadavg()[0] / (os.cpu_count() or 1)
     yield Finding(load <= BUSY, f"load {load:.0%} of all cores (expected up to {BUSY:.0%})")
     folder = recordings
-    while not folder.exists():
+    while not os.access(folder, os.F_OK):  # nor where this user may not look
         folder = folder.parent
     free_gb = shutil.disk_usage(folder).free / 1e9
     yield Finding(free_gb >= FREE_GB, f"{free_gb:.1f} GB free for recordings (expected {FREE_GB:g} or more)")

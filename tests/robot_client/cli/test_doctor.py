@@ -211,6 +211,8 @@ def test_a_pc_with_one_core_or_a_folder_that_cannot_be_written_is_named(tmp_path
     file = tmp_path / "file"
     file.touch()
     assert any("not be written" in f.text for f in examine_pc(file) if not f.good)
+    unreachable = tmp_path / ("x" * 300)  # as below a folder that this user may not enter: the system refuses to look
+    assert not [f.text for f in examine_pc(unreachable) if "recordings" in f.text and not f.good]
     monkeypatch.setattr(os, "getloadavg", lambda: (99.0, 99.0, 99.0))
     (busy,) = [f.text for f in examine_pc(tmp_path) if f.text.startswith("load")]
     assert "two cores" not in remedy_of(busy)
