@@ -104,6 +104,8 @@ class Link:
             self._lost = "the gripper closed the connection"
         except OSError as error:
             self._lost = f"connection lost: {error}"
+        except Exception as error:  # a defect of ours must not leave a lost part unheard
+            self._lost = f"{type(error).__name__}: {error}"
         for queue in self._waiting.values():
             queue.put_nowait(Reply(0, Status.IO_ERROR))
         self.on_end(self._lost)

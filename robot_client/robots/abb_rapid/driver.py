@@ -6,7 +6,6 @@ silent, the guard stops the arm by itself. Stopping is slower than with EGM; its
 """
 
 import asyncio
-import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -195,10 +194,15 @@ class SocketArm:
 
     async def _read(self, reader: asyncio.StreamReader, on_text: Callable[[str], None], name: str) -> None:
         parser = TextParser()
-        with contextlib.suppress(OSError):
+        try:
             while data := await reader.read(4096):
                 for text in parser.feed(data):
                     on_text(text)
+        except OSError:
+            pass  # closed, too
+        except Exception as error:  # a defect of ours must not leave the arm moving unheard
+            self._fail("internal", f"{type(error).__name__}: {error}")
+            raise
         self._fail("link", f"the {name} closed the connection")
 
     def _on_guard(self, text: str) -> None:

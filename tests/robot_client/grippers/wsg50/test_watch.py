@@ -8,6 +8,7 @@ from robot_client.grippers.wsg50 import codec, driver
 from robot_client.grippers.wsg50.codes import Command, GraspingState, Status
 from robot_client.grippers.wsg50.driver import Wsg50
 from robot_client.grippers.wsg50.settings import Settings
+from robot_client.insertion.events import Failure
 from tests.robot_client.clock import stopped_clock
 from tests.robot_client.grippers.wsg50.test_driver import bench
 from tests.waiting import until
@@ -47,6 +48,14 @@ def test_the_state_is_looked_at_four_times_within_the_silence_that_is_allowed(cl
     with pytest.raises(asyncio.CancelledError):
         asyncio.run(gripper._watch())
     assert waits_s == [pytest.approx(0.2)] * 4
+
+
+async def test_a_defect_of_ours_in_handling_a_reply_is_a_failure_at_once_and_not_a_silence():
+    async with bench(silence_s=20.0) as cell:
+        await cell.started()
+        cell.driver._link.on_reply = lambda _reply: 1 / 0
+        failure = await cell.until(Failure)
+    assert (failure.code, failure.detail) == ("link", "gripper: ZeroDivisionError: division by zero")
 
 
 async def test_a_client_that_is_stopped_while_it_connects_says_that_it_leaves():

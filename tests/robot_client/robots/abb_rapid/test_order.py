@@ -1,5 +1,6 @@
 """Two sockets to one robot: a message on one may arrive after a later message on the other."""
 
+import asyncio
 import math
 
 import pytest
@@ -273,6 +274,16 @@ def test_what_the_guard_says_counts_and_what_is_no_answer_of_its_does_not(clock)
     assert (arm.position(), arm.statistics(), events) == (before, {"guard_answers": 1}, [])
     guard_says(arm, 2, stopped=False)
     assert arm.statistics() == {"guard_answers": 2}
+
+
+async def test_a_defect_of_ours_in_handling_an_answer_is_a_failure_at_once_and_not_a_silence(clock):
+    arm, events = guided()
+    reader = asyncio.StreamReader()
+    reader.feed_data(b"P 1 5 0 40 0 1 0 0 0 1#")
+    with pytest.raises(ZeroDivisionError):
+        await arm._read(reader, lambda _text: 1 / 0, "guard")
+    assert [(event.code, event.detail) for event in events] == [("internal", "ZeroDivisionError: division by zero")]
+    assert arm._guard.sent[-1][0] == "S"
 
 
 def test_a_guard_that_hangs_up_is_asked_nothing_any_more(clock):
