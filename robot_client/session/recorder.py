@@ -7,8 +7,9 @@ A thread of its own writes them: the event loop that guides the arm waits for no
 import contextlib
 import json
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
 from typing import IO, Any
 
 from pydantic import ValidationError
@@ -33,14 +34,16 @@ class Recorder:
         self.path = path
         self.lost = ""
         self._file: IO[str] | None = None
-        self._lines: ThreadPoolExecutor | None = None
+        self._lines: SimpleQueue[dict[str, Any] | None] = SimpleQueue()  # None: the last one
+        self._writer: Thread | None = None
         if path is not None:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 self._file = path.open("x", encoding="utf-8", buffering=1)
             except OSError as error:
                 raise ContractError(f"cannot write the episode log {path}: {error.strerror}") from None
-            self._lines = ThreadPoolExecutor(1, "episode log")
+            self._writer = Thread(target=self._write_all, name="episode log", daemon=True)  # no process waits for it
+            self._writer.start()
         self._put({"version": LOG_VERSION, "plan": plan.model_dump(mode="json")})
 
     def event(self, event: Event) -> None:
@@ -52,16 +55,22 @@ class Recorder:
     def end(self, summary: dict[str, Any]) -> None:
         """Write the last line and close, waiting for LAST_LINES_S at most; only once nothing moves any more."""
         self._put({"end": summary})
-        if self._lines is None:
+        if self._writer is None:
             return
-        lines, self._lines = self._lines, None
-        if wait([lines.submit(self._close)], LAST_LINES_S).not_done:
+        writer, self._writer = self._writer, None
+        self._lines.put(None)
+        writer.join(LAST_LINES_S)
+        if writer.is_alive():
             self.lost = f"the disk has not taken its last lines within {LAST_LINES_S:g} s"
-        lines.shutdown(wait=False)
 
     def _put(self, line: dict[str, Any]) -> None:
-        if self._lines is not None:
-            self._lines.submit(self._write, line)
+        if self._writer is not None:
+            self._lines.put(line)
+
+    def _write_all(self) -> None:
+        while (line := self._lines.get()) is not None:
+            self._write(line)
+        self._close()
 
     def _write(self, line: dict[str, Any]) -> None:
         if self._file is None:

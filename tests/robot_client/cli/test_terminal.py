@@ -83,6 +83,34 @@ def test_a_disk_that_does_not_answer_does_not_keep_the_arm_from_being_guided(tmp
     assert len(read_log(path)[1]) == 100
 
 
+UNANSWERED = """
+import os
+from pathlib import Path
+from robot_client.session import recorder
+from tests.robot_client.insertion.stories import PLAN
+
+reading, writing = os.pipe()
+os.set_blocking(writing, False)
+try:
+    while os.write(writing, b" " * 4096):
+        pass
+except BlockingIOError:
+    os.set_blocking(writing, True)
+Path.open = lambda *_arguments, **_options: os.fdopen(writing, "w", buffering=1)
+recorder.LAST_LINES_S = 0.1
+log = recorder.Recorder(Path("log.jsonl"), PLAN)
+log.end({})
+print(log.lost)
+"""
+
+
+def test_a_client_does_not_outlive_its_insertion_for_a_disk_that_does_not_answer():
+    ended = subprocess.run(
+        [sys.executable, "-c", UNANSWERED], stdout=subprocess.PIPE, text=True, timeout=30, check=True
+    )
+    assert ended.stdout == "the disk has not taken its last lines within 0.1 s\n"
+
+
 def test_figures_that_no_log_can_hold_end_the_log_and_not_the_insertion(tmp_path):
     """As of a driver that keeps its statistics in types of its own."""
     log = Recorder(tmp_path / "log.jsonl", PLAN)

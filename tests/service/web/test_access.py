@@ -238,7 +238,7 @@ def test_a_client_that_does_not_read_is_cut_off_and_the_service_goes_on(live: Li
         with contextlib.suppress(OSError):
             while True:
                 deaf.sendall(beat.serialize(mask=True) * 200)
-        wait_for(lambda: len(live.station.hub._listeners) == listeners_n)
+        wait_for(lambda: len(live.station.hub._listeners) == listeners_n, 10.0)  # a ping unanswered cuts off after 20 s
         with connect(live.url("/v1/insertions/ws", "ws"), additional_headers=live.bearer, compression=None) as link:
             link.send(wire.ClientHello(insertion_id="beside-deaf", client="test").model_dump_json())
             assert wire.parse_service(link.recv(20)).type == "hello"
