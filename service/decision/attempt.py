@@ -174,7 +174,7 @@ class Attempt:
         """
         if self.spoilt or not observation.informative:
             return
-        self._informed_ns[observation.finger] = observation.captured_ns
+        self._informed_ns[observation.finger] = observation.certain_ns or observation.captured_ns
         oldest_ns = min(self._informed_ns.values())
         if len(self._informed_ns) == len(FINGERS) and oldest_ns > self.watched_ns:
             self.watched_ns = oldest_ns

@@ -25,6 +25,8 @@ class Observation:
     - ``bulge``: displacement of the markers over an untouched gel's limit; below 1 untouched, None: unknown.
     - ``touch``: the same for the whole picture, if the open gel's was learnt; the phases of a grasp follow it.
     - ``weight``: downward displacement of the markers; from 1 on something's weight.
+    - ``certain_ns``: capture stamp of the newest frame that is certainly no copy of an earlier one: this one's, or
+      that of the frame before where only the next one will tell; None: this one's.
     - ``imprint``: change of the imprint between the markers, if requested.
     """
 
@@ -40,6 +42,7 @@ class Observation:
     touch: float | None = None
     imprint: ImprintChange | None = None
     weight: float | None = None
+    certain_ns: int | None = None
 
     @property
     def felt(self) -> float | None:
