@@ -108,9 +108,10 @@ class TactileFinger:
             "markers": (tracked - rectified) * 1e3,
             "slip": (time.perf_counter() - tracked) * 1e3,
         }
-        stamps, felt = (frame.seq, frame.captured_ns), (bulge, touch, imprint, self._open.weight(field))
-        certain_ns = self._liveness.certain_ns
-        return Observation(self.finger, *stamps, image, field, slip, onset_ns, cost_ms, *felt, certain_ns)
+        stamps, certain_ns = (frame.seq, frame.captured_ns), self._liveness.certain_ns
+        weight = self._open.weight(field)
+        observation = Observation(self.finger, *stamps, image, field, slip, onset_ns, cost_ms, bulge, touch, imprint)
+        return replace(observation, weight=weight, certain_ns=certain_ns)
 
     def _with_contact(self, slip: SlipState, *, empty: bool) -> SlipState:
         """The state, or "no_contact" where nothing touches the gel; the first state that stops the arm always passes.

@@ -25,7 +25,7 @@ from simulation.closed_loop.lockstep import Image, LockstepCell, hash_seed
 # RMS per axis at 2 grey levels of camera noise, and the increase per further grey level (docs/slip_report.md).
 TRACKING_PX = 0.039
 TRACKING_PX_PER_GREY = 0.0038
-COPIES_N = 2  # repeated pictures after which the service recognises the repetition
+COPIES_N = 2  # repeated pictures after which the service recognises the repetition; the first one it doubts
 
 
 class LatePicture:
@@ -97,6 +97,11 @@ class Trouble:
         known = self.fault.kind == "frozen" or (self.fault.kind == "stuck" and self.copies >= COPIES_N)
         return dataclasses.replace(field, status="duplicate") if known else field
 
+    @property
+    def doubted(self) -> bool:
+        """Whether the picture may be a copy: the first one of a stuck camera is doubted."""
+        return self.fault.kind == "stuck" and self.copies == 1
+
 
 class TrueFieldFinger:
     """A :class:`FingerWatch` that looks at the cell's gel of this moment instead of the frame."""
@@ -113,6 +118,7 @@ class TrueFieldFinger:
         self._open = OpenGel()
         self._home: MarkerField | None = None  # the open gel, of which no picture has been drawn yet
         self._rearm = False
+        self._last_ns: int | None = None  # stamp of the frame before
         self.gel_distance: float | None = None
         noise = cell.scene.camera.noise_grey
         self._error_px = max(0.02, TRACKING_PX + TRACKING_PX_PER_GREY * (noise - 2.0))
@@ -147,7 +153,9 @@ class TrueFieldFinger:
         stamps, touch = (frame.seq, frame.captured_ns), self._touch(field, picture)
         observation = Observation(self._finger, *stamps, picture, field, slip, onset_ns, {})
         bulge, weight = self._open.bulge(field), self._open.weight(field)
-        return dataclasses.replace(observation, bulge=bulge, touch=touch, weight=weight)
+        certain_ns = self._last_ns if self._trouble and self._trouble.doubted else frame.captured_ns
+        self._last_ns = frame.captured_ns
+        return dataclasses.replace(observation, bulge=bulge, touch=touch, weight=weight, certain_ns=certain_ns)
 
     def _touch(self, field: MarkerField, picture: NDArray[np.uint8]) -> float | None:
         """How much the gel is touched; only a grip that moves no marker takes a picture to be seen."""

@@ -99,7 +99,7 @@ def _apart(one: Grain, other: Grain) -> float:
 
 
 def _shared_motion(before: MarkerField | None, now: MarkerField) -> float:
-    """Correlation of the steps of neighbouring markers since the field before: 1 for a gel that shifts, 0 for errors."""
+    """Correlation of the steps of neighbouring markers since the field before: 1 where the gel shifts, 0 for errors."""
     if before is None or before.valid.shape != now.valid.shape:
         return 0.0
     known = before.valid & now.valid

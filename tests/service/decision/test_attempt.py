@@ -134,6 +134,14 @@ def test_one_finger_and_frames_that_say_nothing_are_not_watching() -> None:
     assert watched(attempt, at("right", 1040)) == [(1020, 1047)]
 
 
+def test_a_frame_that_may_be_a_copy_is_watched_no_later_than_the_one_before() -> None:
+    attempt = armed()
+    assert watched(attempt, at("left", 1010), at("right", 1010)) == [(1010, 1017)]
+    doubted = replace(at("left", 1020), certain_ns=1010)
+    assert watched(attempt, at("right", 1020), doubted) == []
+    assert watched(attempt, at("left", 1030)) == [(1020, 1037)]
+
+
 @pytest.mark.parametrize("spoilt", [{"slip_sent": True}, {"stale_sent": True}, {"broken": "left gone"}])
 def test_an_attempt_whose_reference_is_spoilt_is_not_watched(spoilt: dict[str, Any]) -> None:
     attempt = armed()

@@ -10,15 +10,19 @@ from tests.service import drawn
 REST_N, ONSET, SLIP_AT, COPIES_N = 8, 12, 18, 6
 
 
-def new_frames(pictures, quality):
-    """Whether each picture was new to the finger."""
+def observed(pictures, quality):
     finger = drawn.watch()
-    new = []
+    observations = []
     for k, picture in enumerate(pictures):
         sent = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1] if quality else None
         pixels = picture if sent is None else np.asarray(cv2.imdecode(sent, 1), np.uint8)
-        new.append(finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, pixels)).field.usable)
-    return new
+        observations.append(finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, pixels)))
+    return observations
+
+
+def new_frames(pictures, quality):
+    """Whether each picture was new to the finger."""
+    return [one.field.usable for one in observed(pictures, quality)]
 
 
 def live(count, first=0):
@@ -32,7 +36,10 @@ def copies(original, grey, seed=1):
 
 @pytest.mark.parametrize("quality", [None, 80])
 def test_live_frames_are_new_at_rest_in_motion_and_in_slip(quality):
-    assert all(new_frames(live(SLIP_AT + 6), quality))
+    observations = observed(live(SLIP_AT + 6), quality)
+    assert all(one.field.usable for one in observations)
+    doubted = [k for k, one in enumerate(observations) if one.certain_ns != one.captured_ns]
+    assert doubted == [SLIP_AT + 3], "only the first one after a sudden standstill"
 
 
 @pytest.mark.parametrize(("grey", "quality"), [(2, None), (2, 80), (8, 95)])
@@ -42,6 +49,22 @@ def test_copies_beneath_fresh_noise_are_none_from_the_second_on(frozen_at, grey,
     new = new_frames([*before, *copies(before[-1], grey), *live(4, frozen_at)], quality)
     assert new == [True] * (frozen_at + 1) + [False] * (COPIES_N - 1) + new[-4:]
     assert all(new[-3:]), "a camera that lives again is believed"
+
+
+@pytest.mark.parametrize(("grey", "quality"), [(1, None), (2, 80), (2, 95)])
+@pytest.mark.parametrize("frozen_at", [REST_N, ONSET + 2, SLIP_AT + 1])
+def test_only_the_picture_before_the_first_copy_is_certain(frozen_at, grey, quality):
+    before = live(frozen_at)
+    *_, original, first = observed([*before, *copies(before[-1], grey)[:1]], quality)
+    assert first.field.usable
+    assert (original.certain_ns, first.certain_ns) == (original.captured_ns, original.captured_ns)
+
+
+def test_a_doubted_picture_is_made_up_for_by_the_next_one_that_is_new():
+    before = live(REST_N)
+    *_, doubted, new = observed([*before, *copies(before[-1], 2)[:1], *live(1, REST_N)], None)
+    assert doubted.certain_ns < doubted.captured_ns
+    assert new.certain_ns == new.captured_ns
 
 
 def test_a_picture_that_no_grasp_has_changed_is_none_until_it_changes():
