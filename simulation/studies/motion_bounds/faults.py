@@ -44,8 +44,7 @@ Inject = Callable[[Bench], None]
 class Fault:
     """``hides_s``: age of a picture beyond its stamp; inf: from the fault on it shows nothing new.
 
-    ``unstamped``: the cameras never stamped a picture. ``bounded``: whether the lease bounds it; unbounded faults are
-    measured, too.
+    ``unstamped``: the cameras never stamped a picture.
     """
 
     name: str
@@ -53,7 +52,6 @@ class Fault:
     phases: tuple[Phase, ...] = DESCENT
     hides_s: float = 0.0
     unstamped: bool = False
-    bounded: bool = True
 
 
 def _stopped(who: str, seconds: float) -> Inject:
@@ -107,7 +105,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("cameras lose 9 of 10 frames", _cameras(*BOTH, drop_share=0.9)),
     *(Fault(f"cameras {ms} ms late", _cameras(*BOTH, delay_ms=ms)) for ms in (100, 200, 300)),
     Fault("left camera frozen, with noise", _cameras("left", frozen_noise=True)),
-    Fault("cameras frozen, with noise", _cameras(*BOTH, frozen_noise=True), hides_s=float("inf"), bounded=False),
+    Fault("cameras frozen, with noise", _cameras(*BOTH, frozen_noise=True), hides_s=float("inf")),
     *(
         Fault(
             f"cameras {ms} ms late, unstamped",

@@ -45,13 +45,12 @@ class Row:
     inserted: bool
     hung: bool
     tracebacks: int
-    bounded: bool
 
     @property
     def held(self) -> bool:
         """Whether all guarantees held."""
         calm = not self.hung and not self.tracebacks and self.moved_mm <= MOVED_MM
-        return calm and self.force_n <= MOST_N and (self.travel_mm <= BOUND_MM or not self.bounded)
+        return calm and self.force_n <= MOST_N and self.travel_mm <= BOUND_MM
 
 
 def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
@@ -88,7 +87,6 @@ def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
         inserted=bool(end.get("inserted")),
         hung=hung,
         tracebacks=sum("Traceback" in log.read_text(errors="replace") for log in logs),
-        bounded=fault.bounded,
     )
 
 
