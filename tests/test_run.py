@@ -45,10 +45,14 @@ def test_the_rectangle_is_inserted_through_the_real_protocols(tmp_path):
 
 
 def test_the_demonstration_inserts_one_object_after_another_and_its_cell_knows_that_they_are_in(tmp_path):
-    command = [sys.executable, "-m", "simulation", "demo", "--out", str(tmp_path), "--parts", "2", "--port", "0"]
+    (tmp_path / "chosen.toml").write_text("[ramps.travel]\nspeed_mm_s = 60.0\n")
+    options = ["--parts", "2", "--port", "0", "--client", str(tmp_path / "chosen.toml")]
+    command = [sys.executable, "-m", "simulation", "demo", "--out", str(tmp_path), *options]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=560, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.rstrip().endswith("2 inserted")
+    (written,) = tmp_path.glob("*/client.toml")
+    assert "[ramps.travel]\nspeed_mm_s = 60.0\n" in written.read_text()
     (listed,) = tmp_path.glob("*/recordings")
     ended = [json.loads(path.read_text())["outcome"] for path in listed.glob("*/summary.json")]
     assert ended.count("inserted") == 2  # what was regrasped has one of its own for each time

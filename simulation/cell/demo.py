@@ -12,13 +12,13 @@ from service.contract.token import TOKEN_FILE
 from simulation.cell.children import Child, Children
 from simulation.cell.config import client_config
 from simulation.cell.emulators.net import HOST, BusyPortError, bind_tcp, free_port, port_of
-from simulation.cell.run import SERVICE_READY_S, RunOptions, Start, ready_cell, start_cell, start_service
+from simulation.cell.run import SERVICE_READY_S, LiveOptions, RunError, Start, ready_cell, start_cell, start_service
 
 DAYS_S = 1e9
 
 
 @dataclass(frozen=True)
-class DemoOptions(RunOptions):
+class DemoOptions(LiveOptions):
     """Insert one object after another in the simulated cell, each from its own start, until Ctrl-C."""
 
     port: int = 8000
@@ -26,7 +26,15 @@ class DemoOptions(RunOptions):
     open: bool = False
     """Open the page in the browser."""
     parts: int | None = None
-    """Stop after this many inserted objects."""
+    """Stop after this many inserted objects; never if left out."""
+
+    def check(self) -> None:
+        """Raise also for a port or a number of objects that cannot be."""
+        super().check()
+        if not 0 <= self.port <= 65535:
+            raise RunError(f"--port {self.port}: expected 0 to 65535")
+        if self.parts is not None and self.parts < 1:
+            raise RunError(f"--parts {self.parts}: expected 1 or more")
 
 
 def lines(options: DemoOptions, folder: Path) -> Iterator[str]:
@@ -46,8 +54,9 @@ def lines(options: DemoOptions, folder: Path) -> Iterator[str]:
             with contextlib.suppress(webbrowser.Error):
                 webbrowser.open(url)
         config = folder / "client.toml"
-        config.write_text(client_config(facts, url, (folder / "state" / TOKEN_FILE).resolve(), options.link))
-        counted = ("--parts", str(options.parts)) if options.parts else ()
+        token = (folder / "state" / TOKEN_FILE).resolve()
+        config.write_text(client_config(facts, url, token, options.link, options.chosen()))
+        counted = () if options.parts is None else ("--parts", str(options.parts))
         arguments = ["cycle", "--live", "--config", str(config), "--logs", str(folder / "episodes"), *counted]
         client = children.add(Child("robot client", "robot_client", arguments, folder / "client.log"))
         children.go_first()

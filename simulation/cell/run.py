@@ -20,7 +20,7 @@ from simulation.cell import run_report
 from simulation.cell.children import Child, Children, Compiling
 from simulation.cell.config import client_config
 from simulation.cell.emulators.net import HOST, free_port
-from simulation.cell.options import draw_start
+from simulation.cell.options import CellOptions, draw_start
 from simulation.cell.run_report import Result
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import load_scene, load_world
@@ -35,17 +35,13 @@ class RunError(ValueError):
 
 
 @dataclass(frozen=True)
-class RunOptions:
-    """Insert an object in the simulated cell, in real time, through the real protocols."""
+class LiveOptions:
+    """What runs: the simulated cell, the service and the robot client."""
 
     object: str = "rectangle"
     """A name or a TOML file."""
     world: str | None = None
     """A world file: gel, grasp, blocks, cameras (see docs/worlds.md); the project's own cell if left out."""
-    x_mm: float | None = None
-    """Position error at the start; drawn from the seed if left out."""
-    theta_deg: float | None = None
-    """Yaw error at the start; drawn from the seed if left out."""
     seed: int = 0
     """Seed of start, grasp, optics and noise."""
     controller: Literal["belief", "heuristic"] = "belief"
@@ -62,6 +58,31 @@ class RunOptions:
     """How the client drives the arm: EGM, or the RAPID sockets of a controller without that option."""
     client: Path | None = None
     """Tables that override the cell's client configuration, as `choose` writes them."""
+
+    def chosen(self) -> dict[str, Any]:
+        """The client's tables that were chosen; raises RunError for a file that is none of tables."""
+        tables = read_toml(self.client) if self.client else {}
+        if loose := [key for key, table in tables.items() if not isinstance(table, dict)]:
+            raise RunError(f"--client {self.client}: {', '.join(loose)}: expected tables, as [ramps.descend]")
+        return tables
+
+    def check(self) -> None:
+        """Raise ValueError or OSError, before a process starts, for what none would take."""
+        if not list(self.models.glob("*.onnx")):
+            raise RunError(f"--models {self.models}: no folder with .onnx files; expected those of the service")
+        CellOptions(fps=self.fps, egm_lag_ms=self.egm_lag_ms).check()
+        self.chosen()
+        scene_of(self)
+
+
+@dataclass(frozen=True)
+class RunOptions(LiveOptions):
+    """Insert an object in the simulated cell, in real time, through the real protocols."""
+
+    x_mm: float | None = None
+    """Position error at the start; drawn from the seed if left out."""
+    theta_deg: float | None = None
+    """Yaw error at the start; drawn from the seed if left out."""
     timeout_s: float = 240.0
     """Time limit of one insertion."""
 
@@ -76,7 +97,7 @@ class Start:
     seed: int
 
 
-def scene_of(options: RunOptions) -> Scene:
+def scene_of(options: LiveOptions) -> Scene:
     """The object in its world; raises SceneError."""
     scene = load_scene(options.object)
     return load_world(options.world).around(scene) if options.world else scene
@@ -86,11 +107,11 @@ def start_of(options: RunOptions) -> Start:
     """The insertion to do; raises SceneError or RunError before anything starts."""
     if not options.timeout_s > 0:
         raise RunError(f"--timeout-s {options.timeout_s}: expected more than 0")
-    if not options.models.is_dir():
-        raise RunError(f"--models {options.models}: no such folder; it holds the .onnx files of the service")
+    options.check()
     x_mm, theta_deg = draw_start(scene_of(options), options.seed)
     x_mm = x_mm if options.x_mm is None else options.x_mm
     theta_deg = theta_deg if options.theta_deg is None else options.theta_deg
+    CellOptions(x_mm=x_mm, theta_deg=theta_deg).check()
     return Start(options.object, x_mm, theta_deg, options.seed)
 
 
@@ -98,7 +119,7 @@ def _say(text: str) -> None:
     print(text, flush=True)
 
 
-def start_cell(start: Start, options: RunOptions, folder: Path, *, fed: bool = False) -> Child:
+def start_cell(start: Start, options: LiveOptions, folder: Path, *, fed: bool = False) -> Child:
     """The cell as a process; ``fed``: a new object stands in the fixture each time the arm is back there."""
     arguments = [
         *("--object", start.object, "--x-mm", str(start.x_mm), "--theta-deg", str(start.theta_deg)),
@@ -119,7 +140,7 @@ def ready_cell(cell: Child, folder: Path) -> dict[str, Any]:
     return facts
 
 
-def start_service(facts: dict[str, Any], options: RunOptions, folder: Path, port: int = 0) -> Child:
+def start_service(facts: dict[str, Any], options: LiveOptions, folder: Path, port: int = 0) -> Child:
     arguments = [
         *("--models", str(options.models), "--calibration", facts["calibration"], "--port", str(port)),
         *("--camera-left", facts["cameras"]["left"], "--camera-right", facts["cameras"]["right"]),
@@ -133,8 +154,7 @@ def start_service(facts: dict[str, Any], options: RunOptions, folder: Path, port
 def _start_client(facts: dict[str, Any], url: str, options: RunOptions, folder: Path) -> Child:
     approach, config = facts["approach"], folder / "client.toml"
     token = (folder / "state" / TOKEN_FILE).resolve()
-    chosen = read_toml(options.client) if options.client else {}
-    config.write_text(client_config(facts, url, token, options.link, chosen))
+    config.write_text(client_config(facts, url, token, options.link, options.chosen()))
     arguments = [
         *("--live", "--config", str(config), "--log", str(folder / "episode.jsonl")),
         *(f"--x-mm={approach['x_mm']:.4f}", f"--theta-deg={approach['yaw_deg']:.4f}"),

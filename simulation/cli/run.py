@@ -15,7 +15,7 @@ from simulation.cell import film, run_report
 from simulation.cell.children import ChildError, terminate_as_interrupt
 from simulation.cell.demo import DemoOptions, lines
 from simulation.cell.options import warn_of_keys_without_effect
-from simulation.cell.run import RunOptions, Start, insert, scene_of, start_of
+from simulation.cell.run import LiveOptions, RunOptions, Start, insert, scene_of, start_of
 from simulation.cell.run_report import Result
 
 
@@ -46,9 +46,9 @@ def run(arguments: list[str]) -> int:
 def demo(arguments: list[str]) -> int:
     """Insert one object after another until Ctrl-C, with the page; exit 1 if a process failed."""
     options = tyro.cli(DemoOptions, args=arguments, prog="tactile-insertion demo", description=demo.__doc__)
-    start = start_of(options)
+    options.check()
     warn_of_keys_without_effect(options.world, options.object)
-    folder = _folder(options, start)
+    folder = _folder(options)
 
     def work() -> int:
         for line in lines(options, folder):
@@ -72,7 +72,7 @@ def exit_status(command: str, work: Callable[[], int]) -> int:
 
 
 def _insert(start: Start, options: RunOptions) -> Result:
-    folder = _folder(options, start)
+    folder = _folder(options)
     result = insert(start, options, folder)
     recording = run_report.telling_recording(folder / "recordings")
     drawn = run_report.draw_last_attempt(recording, folder / "last_attempt.png", result) if recording else None
@@ -83,8 +83,8 @@ def _insert(start: Start, options: RunOptions) -> Result:
     return result
 
 
-def _folder(options: RunOptions, start: Start) -> Path:
-    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(start.object).stem}-{start.seed}"
+def _folder(options: LiveOptions) -> Path:
+    stem = f"{time.strftime('%Y%m%d-%H%M%S')}-{Path(options.object).stem}-{options.seed}"
     folder, k = options.out / stem, 1
     while folder.exists():
         folder, k = options.out / f"{stem}-{k}", k + 1

@@ -31,16 +31,16 @@ def test_a_drawn_start_collides_and_repeats(name):
         assert run.draw_start(scene, seed) == (x_mm, theta_deg)
 
 
-def test_a_stated_start_is_kept(tmp_path):
-    start = run.start_of(run.RunOptions(x_mm=8.0, theta_deg=6.0, models=tmp_path))
+def test_a_stated_start_is_kept(models_folder):
+    start = run.start_of(run.RunOptions(x_mm=8.0, theta_deg=6.0, models=models_folder))
     assert (start.x_mm, start.theta_deg) == (8.0, 6.0)
 
 
-def test_a_gap_that_nothing_misses_has_a_start_too(tmp_path):
+def test_a_gap_that_nothing_misses_has_a_start_too(tmp_path, models_folder):
     (tmp_path / "wide.toml").write_text(
         '[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 50.0\n[blocks]\ngap_mm = 200.0\n'
     )
-    start = run.start_of(run.RunOptions(object=str(tmp_path / "wide.toml"), models=tmp_path))
+    start = run.start_of(run.RunOptions(object=str(tmp_path / "wide.toml"), models=models_folder))
     assert abs(start.x_mm) <= 15.0
 
 

@@ -17,6 +17,13 @@ REFUSED = [
     ("evaluate --models OUT --json OUT/rows.json", "no *.step.onnx there"),
     ("evaluate --models MODELS --json OUT/rows.json --objects", "nothing to play"),
     ("run --timeout-s nan --out OUT", "--timeout-s nan"),
+    ("run --x-mm nan --out OUT", "--x-mm nan"),
+    ("run --fps 45 --out OUT", "--fps 45"),
+    ("run --models DATA --out OUT", "no folder with .onnx files"),
+    ("run --client LOOSE --out OUT", "nothing: expected tables"),
+    ("demo --client LOOSE --out OUT", "nothing: expected tables"),
+    ("demo --port 99999 --out OUT", "--port 99999"),
+    ("demo --parts 0 --out OUT", "--parts 0"),
     ("cell --seed -1 --out OUT", "--seed -1"),
     ("probe rectangle --x-mm 1e308", "--x-mm 1e+308"),
     ("probe rectangle --seed -1", "--seed -1"),
@@ -29,7 +36,9 @@ REFUSED = [
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory, models_folder) -> dict[str, Path]:
     data = made_up_dataset(tmp_path_factory.mktemp("data"), [made_up_trial(k) for k in range(12)])
-    return {"DATA": data, "MODELS": models_folder}
+    loose = data.with_name("loose.toml")
+    loose.write_text("nothing = 1")
+    return {"DATA": data, "MODELS": models_folder, "LOOSE": loose}
 
 
 @pytest.mark.parametrize(("line", "named"), REFUSED, ids=[line for line, _ in REFUSED])
