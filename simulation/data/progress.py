@@ -1,4 +1,4 @@
-"""Progress of a long job: a bar with ETA on a terminal, a line every half minute elsewhere."""
+"""Progress of a long job on standard error: a bar with ETA on a terminal, lines elsewhere, the first after 5 s."""
 
 import sys
 import time
@@ -6,30 +6,32 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
-_LINE_EVERY_S = 30.0
+_FIRST_LINE_S, _LINE_EVERY_S = 5.0, 30.0
 Result = TypeVar("Result")
 
 
 @contextmanager
 def progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
     """Yield ``show(done)`` for ``total`` things called ``what``."""
+    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     on_terminal = sys.stderr.isatty()
-    began = printed = time.monotonic()
-    with Progress(*columns, disable=not on_terminal) as bar:
+    began = time.monotonic()
+    due = began + _FIRST_LINE_S
+    with Progress(*columns, console=Console(stderr=True), disable=not on_terminal) as bar:
         task = bar.add_task(what, total=total)
 
         def show(done: int) -> None:
-            nonlocal printed
+            nonlocal due
             bar.update(task, completed=done)
             now = time.monotonic()
-            if not on_terminal and done and now - printed >= _LINE_EVERY_S:
-                printed = now
+            if not on_terminal and done and now >= due:
+                due = now + _LINE_EVERY_S
                 rate = done / (now - began)
-                left_min = (total - done) / rate / 60
-                print(f"{done}/{total} {what}, {rate:.1f}/s, about {left_min:.1f} min left", flush=True)
+                left = f"about {(total - done) / rate / 60:.1f} min left"
+                print(f"{done}/{total} {what}, {rate:.1f}/s, {left}", file=sys.stderr, flush=True)
 
         yield show
 
