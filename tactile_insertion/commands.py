@@ -27,6 +27,7 @@ GROUPS: dict[str, dict[str, Command]] = {
         "home": Command("robot_client", "home", "reference the empty gripper"),
         "commission": Command("robot_client", "commission", "probe a new cell: wiring, and data to learn from"),
         "jog": Command("robot_client", "jog", "move the tool to a pose: up, over, down"),
+        "try": Command("robot_client", "try", "try whether a device's driver keeps its promises"),
         "insert": Command("robot_client", "insert", "insert the held object (rehearses without --live)"),
         "cycle": Command("robot_client", "cycle", "pick, insert, release, part after part"),
         "replay-log": Command("robot_client", "replay", "play an episode log through the client's machine"),
@@ -47,6 +48,7 @@ GROUPS: dict[str, dict[str, Command]] = {
     },
     "train and export networks": {
         "train": Command("training", "train", "train the networks of a configuration"),
+        "expect": Command("training", "expect", "measure creep in the hand, for a checkpoint"),
         "adapt": Command("training", "adapt", "fit the release to a cell's own recordings"),
         "recipe": Command("training", "recipe", "train the paper's own recipe, the baseline"),
         "board": Command("training", "board", "show a run's scalars on TensorBoard or Trackio"),
