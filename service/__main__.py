@@ -39,17 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         print(f"service: unknown command {name!r}{nearest(name, COMMANDS)}", file=sys.stderr)
         return EXIT_BAD_INPUT
-    from service.contract.text import printable, read_by_somebody
+    from service.contract.text import run_command
 
-    try:
-        return read_by_somebody(lambda: int(importlib.import_module(f"service.cli.{name}").main(rest)))
-    except KeyboardInterrupt:
-        return 130
-    except (ValueError, OSError) as error:
-        if os.environ.get("TACTILE_TRACEBACK"):
-            raise
-        print(printable(f"service {name}: {' '.join(str(error).split())}"), file=sys.stderr)
-        return EXIT_BAD_INPUT
+    return run_command(f"service {name}", lambda: int(importlib.import_module(f"service.cli.{name}").main(rest)))
 
 
 if __name__ == "__main__":

@@ -35,6 +35,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "choose": ("pace:choose", "the client's settings for a time, success and force, as a file"),
     "accuracy": ("physics:accuracy", "what physics accuracy costs in time: table, JSON, plot"),
 }
+RESUMED = {"collect", "evaluate", "trust", "pace", "drawn-worlds", "sealed"}
 
 
 def usage() -> str:
@@ -58,25 +59,24 @@ def main(arguments: list[str] | None = None) -> int:
         print(usage())
         return 0 if arguments else 2
     name, rest = arguments[0], arguments[1:]
-    if name not in COMMANDS:
-        print(f"no command {name!r}: expected one of {', '.join(COMMANDS)}", file=sys.stderr)
-        return 2
-    from service.contract.text import read_by_somebody
+    from service.contract.refusals import nearest
+    from service.contract.text import run_command
     from simulation import compile_cache
     from simulation.scene.state import PhysicsError
 
+    if name not in COMMANDS:
+        print(f"simulation: unknown command {name!r}{nearest(name, COMMANDS)}", file=sys.stderr)
+        return 2
     module, function = COMMANDS[name][0].split(":")
-    try:
+
+    def work() -> int:
         compile_cache.make(Path(__file__).parent)
         run: Callable[[list[str]], int] = getattr(importlib.import_module(f"simulation.cli.{module}"), function)
         _refuse_negative_seed(rest)
-        return read_by_somebody(lambda: run(rest))
-    except (ValueError, OSError, PhysicsError) as error:  # the last for an object that cannot be held
-        print(f"{name}: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"{name}: interrupted", file=sys.stderr)
-        return 130
+        return run(rest)
+
+    refused = (ValueError, OSError, PhysicsError)  # the last for an object that cannot be held
+    return run_command(name, work, refused, resumes=name in RESUMED)
 
 
 if __name__ == "__main__":

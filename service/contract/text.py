@@ -1,12 +1,17 @@
-"""Text for others: escaping of foreign text, addresses without passwords, wrapped lines, a reader who has left."""
+"""Text for others: escaped foreign text, addresses without passwords, wrapped lines, how a command ends."""
 
+import argparse
+import difflib
 import os
 import re
 import select
 import sys
 import textwrap
 from collections.abc import Callable
+from typing import Any, NoReturn
 from urllib.parse import urlsplit
+
+from service.contract.refusals import reason
 
 WIDTH = 80
 
@@ -38,8 +43,32 @@ def fitted(line: str, indent: int | None = None, width: int = WIDTH) -> str:
     return textwrap.fill(line, width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False)
 
 
-def read_by_somebody(work: Callable[[], int]) -> int:
-    """Result of the work; silently 1 if nobody reads standard output any more, as after ``| head``."""
+def run_command(
+    name: str,
+    work: Callable[[], int],
+    refused: tuple[type[Exception], ...] = (ValueError, OSError),
+    *,
+    resumes: bool = False,
+) -> int:
+    """Exit status of a command: that of its work; 2 and one line for wrong input; 130 and one line after Ctrl-C.
+
+    ``refused``: raised for wrong input; the variable TACTILE_TRACEBACK shows where. Silently 1 if nobody reads standard
+    output any more, as after ``| head``. ``resumes``: the same command goes on after Ctrl-C.
+    """
+    try:
+        return _read_by_somebody(work)
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted{'; the same command goes on' if resumes else ''}", file=sys.stderr)
+        return 130
+    except refused as error:
+        if os.environ.get("TACTILE_TRACEBACK"):
+            raise
+        print(printable(f"{name}: {' '.join(reason(error).split())}"), file=sys.stderr)
+        return 2
+
+
+def _read_by_somebody(work: Callable[[], int]) -> int:
+    """Result of the work; silently 1 if nobody reads standard output any more."""
     try:
         code = work()
         sys.stdout.flush()
@@ -51,3 +80,24 @@ def read_by_somebody(work: Callable[[], int]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     return code
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that refuses in one line with the nearest option. All are typed in full, above all `--live`."""
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **{**settings, "allow_abbrev": False})
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Refuse here what is unknown: the parser above a command knows none of its options."""
+        parsed, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            word = unknown[0].partition("=")[0]
+            near = difflib.get_close_matches(word, self._option_string_actions, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+        return parsed, unknown
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with status 2 and one line."""
+        self.exit(2, printable(f"{self.prog}: {message} (`{self.prog} --help` tells all options)") + "\n")

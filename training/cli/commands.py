@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from service.contract import ContractError
-from service.contract.refusals import reason
-from service.contract.text import fitted, read_by_somebody
+from service.contract.text import fitted, run_command
 
 Device = Literal["cpu", "cuda"]
 
@@ -201,14 +200,7 @@ def run_one_of(
     commands: dict[str, Callable[..., Any]], arguments: Sequence[str] | None, package: str, resumed: Sequence[str] = ()
 ) -> int:
     """Run the command that the arguments name; its exit status."""
-    try:
-        parse = partial(tyro.extras.subcommand_cli_from_dict, commands, args=arguments, prog=f"python -m {package}")
-        return read_by_somebody(lambda: int(parse() or 0))
-    except (ContractError, OSError) as error:  # a folder that cannot be written is bad input, too
-        print(f"error: {reason(error)}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        name = (arguments or sys.argv[1:])[0]
-        goes_on = "; the same command goes on" if name in resumed else ""
-        print(f"{name}: interrupted{goes_on}", file=sys.stderr)
-        return 130
+    parse = partial(tyro.extras.subcommand_cli_from_dict, commands, args=arguments, prog=f"python -m {package}")
+    name = [*(sys.argv[1:] if arguments is None else arguments), package][0]
+    refused = (ContractError, OSError)  # a folder that cannot be written is bad input, too
+    return run_command(name, lambda: int(parse() or 0), refused, resumes=name in resumed)

@@ -1,10 +1,10 @@
-"""Foreign texts on a terminal: every character visible, none of them a command."""
+"""Foreign texts on a terminal: every character visible, none of them a command. How a command ends."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.contract.text import fitted, printable
+from service.contract.text import Parser, fitted, printable, run_command
 
 
 @given(st.text() | st.text(st.characters(categories=["Cc", "Cf", "Cs", "Co", "Zl", "Zp"])))
@@ -37,3 +37,53 @@ def test_commands_of_a_terminal_are_written_out() -> None:
 )
 def test_a_long_line_goes_on_below_what_it_says_of_its_label(line, fits):
     assert fitted(line, width=32).splitlines()[:2] == fits
+
+
+def raising(error):
+    def work():
+        raise error
+
+    return work
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (FileExistsError(17, "File exists", "runs"), "collect: File exists: runs"),
+        (ValueError("--seed -1:\n expected 0 or more"), "collect: --seed -1: expected 0 or more"),
+        (ValueError(), "collect: ValueError"),
+    ],
+)
+def test_wrong_input_ends_a_command_with_2_and_one_line(capsys, error, line):
+    assert run_command("collect", raising(error)) == 2
+    assert capsys.readouterr().err == f"{line}\n"
+
+
+def test_the_variable_of_tracebacks_shows_where_wrong_input_was_found(monkeypatch):
+    monkeypatch.setenv("TACTILE_TRACEBACK", "1")
+    with pytest.raises(ValueError, match="of a file"):
+        run_command("collect", raising(ValueError("of a file")))
+
+
+def test_an_error_that_no_input_causes_is_not_taken_for_one():
+    with pytest.raises(ValueError, match="a defect"):
+        run_command("train", raising(ValueError("a defect")), (OSError,))
+
+
+def test_an_interrupt_ends_a_command_with_130_and_says_whether_it_goes_on(capsys):
+    assert run_command("probe", raising(KeyboardInterrupt())) == 130
+    assert run_command("collect", raising(KeyboardInterrupt()), resumes=True) == 130
+    lines = capsys.readouterr().err
+    assert lines == "probe: interrupted\ncollect: interrupted; the same command goes on\n"
+
+
+def test_an_unknown_option_of_an_inner_command_is_one_line_with_the_nearest(capsys):
+    parser = Parser(prog="tool")
+    parser.add_subparsers().add_parser("home", prog="tool home").add_argument("--json", action="store_true")
+    with pytest.raises(SystemExit) as ended:
+        parser.parse_args(["home", "--jsno"])
+    assert ended.value.code == 2
+    refusal = (
+        "tool home: unrecognized arguments: --jsno; did you mean '--json'? (`tool home --help` tells all options)\n"
+    )
+    assert capsys.readouterr().err == refusal

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from simulation.__main__ import main
+from simulation.__main__ import COMMANDS, main
 from tests.simulation.strategies import made_up_dataset, made_up_trial
 
 REFUSED = [
@@ -56,3 +56,19 @@ def test_a_cell_whose_folder_cannot_be_made_says_so_before_anything_runs(tmp_pat
     taken.write_text("a file")
     assert main(["cell", "--out", str(taken)]) == 2
     assert str(taken) in capsys.readouterr().err
+
+
+def test_a_misspelt_command_is_refused_with_the_nearest_one(capsys) -> None:
+    assert main(["evalute"]) == 2
+    assert capsys.readouterr().err == "simulation: unknown command 'evalute'; did you mean 'evaluate'?\n"
+
+
+@pytest.mark.parametrize(("name", "goes_on"), [("collect", True), ("accuracy", False)])
+def test_an_interrupt_tells_whether_the_command_goes_on(monkeypatch, capsys, name, goes_on) -> None:
+    def interrupted(_words: list[str]) -> int:
+        raise KeyboardInterrupt
+
+    module, function = COMMANDS[name][0].split(":")
+    monkeypatch.setattr(f"simulation.cli.{module}.{function}", interrupted)
+    assert main([name]) == 130
+    assert ("goes on" in capsys.readouterr().err) == goes_on
