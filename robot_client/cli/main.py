@@ -28,7 +28,7 @@ from robot_client.session.replay import ReplayError, replay
 from robot_client.settings import Settings, load_settings
 from service.contract.frames import first_error
 from service.contract.refusals import reason
-from service.contract.text import printable
+from service.contract.text import Parser, printable
 from service.contract.wire import ControllerName
 
 _EPILOG = """exit codes: 0 done (inserted, ready, homed, ...), 1 not done or failed safe,
@@ -58,9 +58,7 @@ def _address(text: str) -> dict[str, Any]:
 
 def _parser() -> argparse.ArgumentParser:
     raw = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(
-        prog="python -m robot_client", description=__doc__, epilog=_EPILOG, formatter_class=raw
-    )
+    parser = Parser(prog="python -m robot_client", description=__doc__, epilog=_EPILOG, formatter_class=raw)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def add(name: str, text: str, *options: Callable[[argparse.ArgumentParser], None]) -> argparse.ArgumentParser:

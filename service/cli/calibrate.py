@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from service.cameras.recorded import picture_in
 from service.contract import FINGERS, ContractError, Finger, Sensor
 from service.contract.sensor import DEFAULT_SENSOR, EDGES
+from service.contract.text import Parser
 from service.perception.rectification import Calibration, CalibrationError, Rectifier
 from service.tools.calibrate import (
     Fit,
@@ -127,7 +128,7 @@ def _write(path: Path | None, row: dict[str, object]) -> None:
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     description = "fit the rectification of both cameras from a few frames of gels that touch nothing"
-    parser = argparse.ArgumentParser(prog="tactile-insertion calibrate", description=description)
+    parser = Parser(prog="tactile-insertion calibrate", description=description)
     for finger in FINGERS:
         help_text = f"camera of the {finger} finger, as for run: v4l2:N, http://HOST:PORT/PATH or file:PATH"
         parser.add_argument(f"--camera-{finger}", metavar="URL", help=help_text)

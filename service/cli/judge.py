@@ -10,6 +10,7 @@ from pathlib import Path
 
 import cv2
 
+from service.contract.text import Parser
 from service.tools.judge import PHASES, RATE_HZ, report_of, runs_of
 
 _FASTEST_HZ = 1000.0
@@ -58,7 +59,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     description = (
         "judge recorded grasps, a folder of one video a finger each: open, contact, hold, slip, lost, released"
     )
-    parser = argparse.ArgumentParser(prog="tactile-insertion judge", description=description)
+    parser = Parser(prog="tactile-insertion judge", description=description)
     parser.add_argument("folder", type=Path, help="folder of runs, or of folders of runs")
     parser.add_argument("--json", type=Path, dest="out", default=Path("runs/judge.json"), help="file for the rows")
     parser.add_argument("--evidence", type=Path, help="file for the slide witness's readings in each frame")

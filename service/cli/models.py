@@ -1,6 +1,5 @@
 """`python -m service models FOLDER`: the networks that the service would load from a folder, with their cards."""
 
-import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,14 +8,16 @@ from pydantic import JsonValue
 
 from service.contract.model_card import UNTRAINED, ModelCard
 from service.contract.shipped import released_models
-from service.contract.text import fitted, printable
+from service.contract.text import Parser, fitted, printable
 from service.decision.models import LoadedModel, load_models
 
 
 def main(arguments: Sequence[str]) -> int:
     """Print every card; raises ModelError (exit status 2) wherever the service would refuse to start."""
-    parser = argparse.ArgumentParser(prog="tactile-insertion models", description="check a folder, print its cards")
-    parser.add_argument("folder", nargs="?", type=Path, default=released_models(), help="folder of *.onnx files")
+    parser = Parser(prog="tactile-insertion models", description="check a folder, print its cards")
+    parser.add_argument(
+        "folder", nargs="?", type=Path, default=released_models(), help="folder of *.onnx files; default the released"
+    )
     parser.add_argument("--json", action="store_true", help="print files, hashes and cards as JSON")
     options = parser.parse_args(arguments)
     models = load_models(options.folder)

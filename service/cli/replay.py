@@ -1,17 +1,16 @@
 """`python -m service replay PATH`: decide a recorded insertion (.mcap) again."""
 
-import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from service.contract.text import printable
+from service.contract.text import Parser, printable
 from service.tools.redecide import redecide
 
 
 def main(arguments: Sequence[str]) -> int:
     """Decide it again and compare; raises RecordingError or FileNotFoundError on invalid input."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="tactile-insertion replay",
         description="Decide a recorded insertion again and compare every message bit for bit.",
     )

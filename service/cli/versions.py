@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 
 from service.contract import ContractError
-from service.contract.text import fitted, printable
+from service.contract.text import Parser, fitted, printable
 from service.contract.token import TOKEN_FILE, is_here, read_token, state_folder
 
 ASKED = {
@@ -24,12 +24,10 @@ TIMEOUT_S = 60.0
 
 def main(arguments: Sequence[str]) -> int:
     """Ask a running service and print its versions; raises ContractError with its reason if it refuses."""
-    parser = argparse.ArgumentParser(
-        prog="tactile-insertion versions", description="versions of the networks in a running service"
-    )
+    parser = Parser(prog="tactile-insertion versions", description="versions of the networks in a running service")
     parser.add_argument("what", nargs="?", choices=ASKED, default="show", help="show (default), or a manual change")
     parser.add_argument("folder", nargs="?", type=Path, help="for shadow: folder of the networks to run in shadow")
-    parser.add_argument("--url", default="http://127.0.0.1:8000", help="address of the service")
+    parser.add_argument("--url", default="http://127.0.0.1:8000", help="address of the service (%(default)s)")
     parser.add_argument("--token-file", type=Path, help="file of the token; default that of a service of this user")
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
     options = parser.parse_args(arguments)

@@ -1,13 +1,12 @@
 """`python -m simulation explain SCENE`."""
 
-import argparse
 import time
 from itertools import count
 
 import numpy as np
 
 from reporting.machine import best_cpu_ms
-from service.contract.text import fitted
+from service.contract.text import Parser, fitted
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
@@ -60,7 +59,7 @@ def cost(scene: Scene, key: str) -> str:
 
 def explain(arguments: list[str]) -> int:
     """Print each effect of a scene: on or off, why, and what it costs here."""
-    parser = argparse.ArgumentParser(prog="tactile-insertion explain", description=__doc__)
+    parser = Parser(prog="tactile-insertion explain", description=explain.__doc__)
     parser.add_argument("scene", help="name of an object (rectangle, circle, ...) or a TOML file")
     parser.add_argument("--world", help="a world file (default: the project's own cell)")
     given = parser.parse_args(arguments)

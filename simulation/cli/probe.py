@@ -1,6 +1,5 @@
 """Commands that show what happens in one poke of the simulated cell and what its sensor records."""
 
-import argparse
 import math
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import tyro
 from numpy.typing import NDArray
 
 from service.contract import FINGERS
+from service.contract.text import Parser
 from simulation.cell.options import CellOptions
 from simulation.data.probe import Probe, run_probe
 from simulation.optics.appearance import Appearance
@@ -49,7 +49,7 @@ def save(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> None:
 
 def probe(arguments: list[str]) -> int:
     """Run one descent and print what happened, frame by frame."""
-    parser = argparse.ArgumentParser(prog="tactile-insertion probe", description=probe.__doc__)
+    parser = Parser(prog="tactile-insertion probe", description=probe.__doc__)
     parser.add_argument("scene", help="name of an object (rectangle, circle, ...) or a TOML file")
     parser.add_argument("--x-mm", type=float, default=8.0, help="position error across the gap (default 8)")
     parser.add_argument("--theta-deg", type=float, default=5.0, help="yaw error (default 5)")

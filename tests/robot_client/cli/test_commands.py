@@ -268,3 +268,11 @@ async def test_a_services_text_cannot_command_the_operators_terminal(capsys):
     assert shown.replace("\n", "").isprintable()
     assert "\\x1b[2J\\x1b]0;owned\\x07\\rINSERTED" in shown
     assert not any(line.startswith("INSERTED") for line in shown.splitlines())
+
+
+@pytest.mark.parametrize("word", ["--l", "--li", "--liv"])
+def test_nothing_shorter_than_live_is_taken_for_it(word, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["home", word])
+    assert ended.value.code == 2
+    assert "unrecognized arguments" in capsys.readouterr().err
