@@ -61,10 +61,10 @@ class Errands:
             corners = way(here)
             for before, corner in itertools.pairwise((here, *(corner for corner, _ in corners))):
                 check_pose(self.limits, corner, here=before)
-            for corner, motion in corners:
+            for number, (corner, motion) in enumerate(corners):
                 if was_cancelled():
                     raise asyncio.CancelledError
-                arm.move(corner, motion)
+                _begin_line(arm, corner, motion, begun=number > 0 or not events.empty())
                 wait_s = 1.5 * self.ramps.duration_s(here, corner, motion) + self.motion_s
                 event = await asyncio.wait_for(events.get(), wait_s)
                 if isinstance(event, Failure):
@@ -100,6 +100,16 @@ class Errands:
             ) from None
         finally:
             await to_the_end(gripper.close(), interrupted=interrupted)
+
+
+def _begin_line(arm: Arm, corner: WorkPose, motion: Motion, *, begun: bool) -> None:
+    """``begun``: the arm has moved, or reported something; it refuses an order now because it has failed."""
+    try:
+        arm.move(corner, motion)
+    except LimitError as error:
+        if not begun:
+            raise
+        raise DriverError(f"robot: {error}") from None
 
 
 def _check_arrived(target: WorkPose, pose: WorkPose) -> None:

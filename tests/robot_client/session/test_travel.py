@@ -10,6 +10,7 @@ import pytest
 
 from robot_client.cli.jog import _jog
 from robot_client.grippers.dry_run.driver import DryGripper
+from robot_client.insertion.events import Failure
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, Limits, check_pose
 from robot_client.insertion.motion import Ramp
@@ -107,6 +108,31 @@ def test_a_ramp_beyond_the_limits_moves_nothing():
     with pytest.raises(LimitError, match=r"ramps.travel.speed_mm_s = 100"):
         asyncio.run(errands.go(lambda here: [(here.at_height(60.0), "travel")]))
     assert way == []
+
+
+@pytest.mark.parametrize(
+    ("moves_n", "reports", "fails"),
+    [(0, False, LimitError), (0, True, DriverError), (1, False, DriverError), (2, False, DriverError)],
+)
+def test_an_arm_that_fails_between_two_lines_is_no_wrong_order(moves_n, reports, fails):
+    class Failing(DryArm):
+        ordered = 0
+
+        async def start(self, post):
+            if reports:
+                post(Failure(at_s=0.0, source="arm", code="robot", detail="motors are off"))
+            return await super().start(post)
+
+        def move(self, *order):
+            if self.ordered == moves_n:
+                raise LimitError("the arm takes no motion: motors are off")
+            Failing.ordered += 1
+            super().move(*order)
+
+    settings = Settings()
+    errands = replace(settings.errands, make_arm=lambda: Failing(settings.limits, settings.ramps))
+    with pytest.raises(fails, match="motors are off"):
+        asyncio.run(errands.go(over_to(LOW, 40.0)))
 
 
 @pytest.mark.parametrize("device", ["abb_egm", "abb_rapid"])
