@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import ValidationError
+from pydantic_core import to_jsonable_python
 
 from robot_client.cli.alone import alone
 from robot_client.cli.check import check
@@ -197,6 +198,11 @@ def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
     return insert(settings, plan, live=args.live, log=log)
 
 
+def _json(result: dict[str, Any]) -> str:
+    """Its text, whatever a driver's statistics hold: null for a number that is none, text for what JSON lacks."""
+    return json.dumps(to_jsonable_python(result, inf_nan_mode="null", bytes_mode="hex", fallback=str), allow_nan=False)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run one command: 0 done, 1 not done, 2 invalid input, with one line on stderr."""
     args = _parser().parse_args(argv)
@@ -218,5 +224,5 @@ def main(argv: list[str] | None = None) -> int:
         print("interrupted, nothing moves", file=sys.stderr)
         code, outcome = 1, Outcome(False, {"error": "interrupted"})
     if args.json:
-        show(json.dumps({"done": outcome.done, **outcome.result}), whole=True)
+        show(_json({"done": outcome.done, **outcome.result}), whole=True)
     return code

@@ -17,6 +17,7 @@ from robot_client.grippers.wsg50.link import GripperError
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.motion import Ramps
 from robot_client.ports import DriverError
+from robot_client.robots.dry_run.driver import DryArm
 from robot_client.session.recorder import Recorder, read_log
 from robot_client.settings import SettingsError, load_settings
 from service.contract import wire
@@ -171,6 +172,14 @@ def test_the_json_of_an_insertion_and_of_its_replay_agree(tmp_path, capsys):
     assert main(["replay", str(log), "--json"]) == 0
     replayed = json.loads(capsys.readouterr().out)
     assert (inserted["log"], inserted["phase"], inserted["attempts"]) == (str(log), "inserted", replayed["attempts"])
+
+
+def test_json_is_printed_whatever_a_drivers_statistics_hold(tmp_path, monkeypatch, capsys):
+    figures = {"worst_ms": float("nan"), "gaps_ms": {(0, 4): 2}, "raw": b"\xff", "cycles": 3}
+    monkeypatch.setattr(DryArm, "statistics", lambda _arm: figures)
+    assert main(["insert", "--x-mm", "8", "--log", str(tmp_path / "episode.jsonl"), "--json"]) == 0
+    link = json.loads(capsys.readouterr().out)["link"]
+    assert link == {"worst_ms": None, "gaps_ms": {"0,4": 2}, "raw": "ff", "cycles": 3}
 
 
 def test_the_last_screen_counts_the_attempts_of_all_grasps(monkeypatch, capsys):
