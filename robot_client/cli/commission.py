@@ -17,7 +17,7 @@ from robot_client.session.commission.record import RECORD, Record, read_record
 from robot_client.session.commission.run import FITS, PRESSES, REACH, Commissioning, Ended, errors
 from robot_client.session.commission.wiring import SIDES, probe_of
 from robot_client.session.cycle import CycleSettings, is_empty
-from robot_client.session.recorder import Recorder
+from robot_client.session.recorder import Recorder, check_takes_files
 from robot_client.session.runner import Runner, to_the_end
 from robot_client.session.stops import StopWatch
 from robot_client.settings import Settings, SettingsError
@@ -41,6 +41,8 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
         make_plan(settings, x_mm, theta_deg, None, None).check()
     path = out / RECORD
     record = read_record(path)
+    if live:
+        check_takes_files(out)
     show(warning(live=live, simulated=settings.simulated))
     steps = _steps(probes_n, path, record, presses=presses)
     if not live:

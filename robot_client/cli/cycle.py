@@ -15,7 +15,7 @@ from robot_client.ports import DriverError
 from robot_client.session.afresh import new_id, upright
 from robot_client.session.cycle import Count, Cycle, CycleSettings, Pace
 from robot_client.session.handshake import Handshake
-from robot_client.session.recorder import Recorder
+from robot_client.session.recorder import Recorder, check_takes_files
 from robot_client.session.report import Report
 from robot_client.session.runner import Runner
 from robot_client.session.travel import pose_text
@@ -33,6 +33,8 @@ def cycle(settings: Settings, *, live: bool, asked: bool, parts_n: int | None, l
     if live:
         plan = with_commissioning(settings, plan, asked=asked)
     plan.check()  # before anything is picked
+    if live and log:
+        check_takes_files(log)
     show(warning(live=live, simulated=settings.simulated))
     steps = _steps(settings, taught, plan)
     if not live:

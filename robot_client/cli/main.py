@@ -177,6 +177,8 @@ def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
     if args.command == "commission":
         if args.probes < 0:
             raise ValueError(f"--probes {args.probes}: expected 0 or more")
+        if args.seed < 0:
+            raise ValueError(f"--seed {args.seed}: expected 0 or more")
         how = {"probes_n": args.probes, "presses": args.presses, "seed": args.seed, "out": args.out}
         return commission(settings, live=args.live, **how)
     if args.command == "cycle":

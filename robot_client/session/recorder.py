@@ -9,6 +9,7 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 from queue import SimpleQueue
+from tempfile import TemporaryFile
 from threading import Thread
 from typing import IO, Any
 
@@ -21,6 +22,15 @@ from service.contract.refusals import reason
 
 LOG_VERSION = 2
 LAST_LINES_S = 5.0  # a disk that has not taken the rest by then keeps nobody waiting any longer
+
+
+def check_takes_files(folder: Path) -> None:
+    """Make the folder and a file in it; raises ContractError now, rather than with a part in the hand."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise ContractError(f"cannot write files into {folder}: {error.strerror}") from None
 
 
 class Recorder:

@@ -21,6 +21,7 @@ from robot_client.settings import load_settings
 from service.contract import wire
 from tests.robot_client.cycle_cell import PICK, cell_with, run, turned
 
+TAUGHT = "[cycle]\nopen_mm = 80\n[cycle.pick]\nx_mm = 0\ny_mm = 0\nz_mm = 45\nyaw_deg = 0\n"
 SHELL = """
 import fcntl, subprocess, sys, termios, time
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
@@ -225,3 +226,20 @@ def test_nothing_is_picked_for_a_plan_that_would_be_refused(command, mode, toml,
     out = ["--out", str(tmp_path / "record")] if command == "commission" else []
     assert main([command, mode, "--config", str(path), *out]) == 2
     assert expect in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["cycle", "--uncommissioned", "--logs"], ["commission", "--out"]])
+@pytest.mark.parametrize("folder", ["/dev/null", "/proc/none"])
+def test_a_folder_that_takes_no_files_is_refused_before_anything_moves(command, folder, tmp_path, capsys):
+    (tmp_path / "cell.toml").write_text(TAUGHT)
+    nowhere = ["--gripper", "127.0.0.1:9", "--rws-url", "http://127.0.0.1:9"]
+    assert main([*command, folder, "--live", "--config", str(tmp_path / "cell.toml"), *nowhere]) == 2
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err.count("\n")) == ("", 1)
+    assert folder in shown.err
+
+
+def test_a_rehearsed_commissioning_refuses_a_seed_that_a_live_one_would(tmp_path, capsys):
+    (tmp_path / "cell.toml").write_text(TAUGHT)
+    assert main(["commission", "--seed", "-1", "--config", str(tmp_path / "cell.toml")]) == 2
+    assert "--seed -1: expected 0 or more" in capsys.readouterr().err
