@@ -30,14 +30,20 @@ def pictures(scene: Scene, probe: Probe, seed: int) -> list[NDArray[np.uint8]]:
     return out
 
 
+def check_name(path: Path) -> None:
+    """Raise ValueError for a name or a folder that :func:`save` cannot take."""
+    if path.suffix not in (".png", ".mp4"):
+        raise ValueError(f"--save: expected a name ending in .png or .mp4, got {path}")
+    if not path.parent.is_dir():
+        raise ValueError(f"--save: {path} cannot be written: no folder {path.parent}")
+
+
 def save(frames: list[NDArray[np.uint8]], path: Path, fps: float) -> None:
-    """Save the last frame as .png, or all as .mp4. Raises ValueError for another suffix or where writing fails."""
+    """Save the last frame as .png, or all as .mp4. Raises ValueError where writing fails."""
     if path.suffix == ".png":
         if not cv2.imwrite(str(path), frames[-1]):
             raise ValueError(f"--save: {path} cannot be written")
         return
-    if path.suffix != ".mp4":
-        raise ValueError(f"--save: expected a name ending in .png or .mp4, got {path}")
     height, width = frames[0].shape[:2]
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, (width, height))
     if not video.isOpened():
@@ -57,6 +63,8 @@ def probe(arguments: list[str]) -> int:
     parser.add_argument("--tier", choices=("bristle", "layer"), help="pads to press with (default: the scene's)")
     parser.add_argument("--save", type=Path, help="both fingers' frames: last one as .png or all as .mp4")
     given = parser.parse_args(arguments)
+    if given.save is not None:
+        check_name(given.save)
     CellOptions(x_mm=given.x_mm, theta_deg=given.theta_deg).check()
     scene = load_scene(given.scene, **({"gel__tier": given.tier} if given.tier else {}))
     done = run_probe(scene, given.x_mm, given.theta_deg, seed=given.seed)

@@ -48,7 +48,8 @@ def test_a_saved_video_shows_every_kept_frame_at_the_cameras_rate(tmp_path: Path
 @pytest.mark.parametrize("name", ["out.gif", "no/such/folder/out.png", "no/such/folder/out.mp4"])
 def test_a_picture_that_cannot_be_written_is_one_line(tmp_path: Path, name: str, capsys) -> None:
     assert main([*PROBE, "--save", str(tmp_path / name)]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err.count("\n")) == ("", 1), "refused before anything is computed"
 
 
 def test_the_layer_tier_can_be_looked_at(capsys) -> None:
