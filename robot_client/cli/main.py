@@ -78,7 +78,7 @@ def _parser() -> argparse.ArgumentParser:
     add("commission", summary, _connection, _mode, _commissioning)
     examining = add("doctor", "name faults of PC, network, controller, gripper and cameras, with remedies", _connection)
     examining.add_argument(
-        "--recordings", type=Path, default=Path("recordings"), help="folder of the service's recordings"
+        "--recordings", type=Path, default=Path("recordings"), help="folder of the service's recordings (%(default)s)"
     )
     add("check", "read every device, move nothing, name what is not ready", _connection)
     homing = add("home", "reference the empty gripper", _connection, _mode)
@@ -117,11 +117,13 @@ def _mode(parser: argparse.ArgumentParser) -> None:
 
 def _commissioning(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--probes", type=int, default=150, metavar="N", help="probes to learn from, four of wiring included"
+        "--probes", type=int, default=150, metavar="N", help="probes to learn from, four of wiring included (150)"
     )
     parser.add_argument("--presses", action="store_true", help="also press until the gel slides, to identify it")
     parser.add_argument("--seed", type=int, default=0, help="seed of a new record's known errors (default 0)")
-    parser.add_argument("--out", type=Path, default=Path("runs") / "commissioning", help="folder of the record")
+    parser.add_argument(
+        "--out", type=Path, default=Path("runs/commissioning"), help="folder of the record (%(default)s)"
+    )
 
 
 def _uncommissioned(parser: argparse.ArgumentParser) -> None:
