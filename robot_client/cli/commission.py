@@ -168,6 +168,12 @@ async def _commission(probing: Probing, probes_n: int, path: Path, record: Recor
     if record.labelled_n >= probes_n and not why:
         show(f"{record.labelled_n} probes done. The service's recordings hold them; to learn from them:")
         show(f"  python -m training adapt RECORDINGS --record {path} --from models/pressing/checkpoint.pt")
-    show(f"record: {path}")
-    result = {"named": list(record.named), "probes": record.labelled_n, "record": str(path), "reason": why}
+    kept = _kept(path)
+    show(f"record: {kept or 'none, no probe was completed'}")
+    result = {"named": list(record.named), "probes": record.labelled_n, "record": kept, "reason": why}
     return Outcome(not record.named and not why, result)
+
+
+def _kept(path: Path) -> str | None:
+    """The record's path, None if nothing was written there: the first probe failed, or the hand was not empty."""
+    return str(path) if path.exists() else None

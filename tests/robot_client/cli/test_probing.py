@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from robot_client.cli.commission import Probing
+from robot_client.cli.commission import Probing, _commission
 from robot_client.grippers.dry_run.driver import DryGripper
 from robot_client.insertion.events import Standstill
 from robot_client.insertion.geometry import WorkPose
@@ -13,6 +13,7 @@ from robot_client.insertion.state import State
 from robot_client.ports import DriverError
 from robot_client.robots.dry_run.driver import DryArm
 from robot_client.robots.dry_run.driver import Settings as DryRun
+from robot_client.session.commission.record import RECORD, Record, keep_record
 from robot_client.session.cycle import CycleSettings
 from robot_client.session.travel import Errands
 from robot_client.settings import Settings
@@ -88,6 +89,23 @@ def test_fingers_that_hold_something_go_nowhere(tmp_path, monkeypatch, width_mm,
     with pytest.raises(DriverError, match="holds something"):
         fetched(fingers, tmp_path)
     assert fingers.is_mm == width_mm
+
+
+@pytest.mark.parametrize("begun_before", [False, True])
+def test_only_a_record_that_exists_is_named(tmp_path, monkeypatch, begun_before):
+    """A commissioning that fails before its first probe is complete has written none."""
+    lines = []
+    monkeypatch.setattr("robot_client.cli.commission.show", lines.append)
+    monkeypatch.setattr(Fingers, "held", True)
+    errands = Errands(None, lambda: Fingers(79.5, empty=False), REAL.limits, REAL.ramps, 3.0, 35.0)
+    settings = SimpleNamespace(cycle=REAL.cycle, errands=errands, make_gripper=lambda: Fingers(79.5, empty=False))
+    path, record = tmp_path / RECORD, Record(begun="2026-01-01T00:00:00", seed=0, object="rectangle")
+    if begun_before:
+        keep_record(path, record)
+    ended = asyncio.run(_commission(Probing(settings, REAL.cycle, tmp_path), 4, path, record, presses=False))
+    assert not ended.done
+    assert ended.result["record"] == (str(path) if begun_before else None)
+    assert lines[-1] == f"record: {path if begun_before else 'none, no probe was completed'}"
 
 
 @pytest.mark.parametrize("until_slip", [True, False])
