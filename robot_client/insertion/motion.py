@@ -84,6 +84,24 @@ def check_ramps(limits: Limits, ramps: Ramps) -> None:
             value = getattr(ramp, name)
             if not 0.0 < value <= bound:
                 raise LimitError(f"ramps.{motion}.{name} = {value:g}, the limits allow above 0 and up to {bound:g}")
+        _check_turns(limits, motion, ramp)
+
+
+def _check_turns(limits: Limits, motion: Motion, ramp: Ramp) -> None:
+    """The same for a turn, which a ramp makes with its own figures in degrees, slower where they exceed TURN_DEG_S."""
+    slower = max(1.0, ramp.speed_mm_s / TURN_DEG_S)
+    turns = {
+        "max_turn_deg_s": (limits.max_turn_deg_s, ramp.speed_mm_s / slower, "speed_mm_s"),
+        "max_turn_acceleration_deg_s2": (
+            limits.max_turn_acceleration_deg_s2,
+            ramp.acceleration_mm_s2 / slower,
+            "acceleration_mm_s2",
+        ),
+    }
+    for limit, (bound, value, name) in turns.items():
+        if not value <= bound:
+            why = f"limits.{limit} = {bound:g}, and turns reach {value:g} on ramps.{motion}"
+            raise LimitError(f"{why}: lower ramps.{motion}.{name}")
 
 
 def check_legs(limits: Limits, motion: Motion, start: WorkPose, end: WorkPose, legs: tuple[Leg, ...]) -> None:

@@ -97,7 +97,8 @@ def test_a_rehearsal_says_what_the_arm_would_refuse(tmp_path, capsys):
     path = tmp_path / "cell.toml"
     path.write_text("[limits]\nmax_turn_deg_s = 5")
     assert main(["insert", "--x-mm", "0", "--theta-deg", "9", "--config", str(path), "--log", str(tmp_path / "x")]) == 1
-    assert "turn deg/s" in capsys.readouterr().out
+    out = " ".join(capsys.readouterr().out.split())
+    assert "HOLD limits: plan: limits.max_turn_deg_s = 5, and turns reach 55 on ramps.travel: lower" in out
 
 
 def test_a_section_that_is_no_table_is_refused_beside_an_option_of_it(tmp_path, capsys):

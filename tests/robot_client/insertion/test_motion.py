@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_client.insertion.geometry import TOOL_DOWN, CellFrame, WorkPose, multiply, normalised, turn_quaternion
 from robot_client.insertion.limits import LimitError, Limits, StepGuard
-from robot_client.insertion.motion import CYCLE_S, SETTLE_S, MotionGuide
+from robot_client.insertion.motion import CYCLE_S, SETTLE_S, MotionGuide, Ramp, Ramps, check_ramps
 from robot_client.insertion.profile import plan_profile
 from tests.robot_client.insertion.stories import RAMPS
 
@@ -54,6 +54,30 @@ def test_every_target_of_every_move_passes_the_limits(start, end, motion, slow):
     dt = CYCLE_S * slow
     for _ in range(40000):
         guide.advance(dt, 0.0)
+        if not guide.moving:
+            break
+    assert guide.target == end
+
+
+@given(INSIDE, INSIDE, st.floats(2, 80), st.floats(20, 1500), st.floats(0.8, 1.5), st.floats(0.8, 1.5))
+@example(pose(yaw=-45.0), pose(yaw=45.0), 80.0, 300.0, 0.6, 1.0)
+def test_limits_that_accept_a_ramp_interrupt_no_turn_on_it(start, end, speed, acceleration, speed_room, room):
+    ramp = Ramp(speed_mm_s=speed, acceleration_mm_s2=acceleration, jerk_mm_s3=5000.0)
+    ramps, turn_deg_s = Ramps(travel=ramp, descend=ramp, retract=ramp), min(speed, 55.0)
+    limits = Limits(
+        max_descent_speed_mm_s=80.0,
+        max_turn_deg_s=speed_room * turn_deg_s,
+        max_turn_acceleration_deg_s2=room * acceleration * turn_deg_s / speed,
+    )
+    try:
+        check_ramps(limits, ramps)
+    except LimitError:
+        assert min(speed_room, room) <= 1.0, "none is refused that is within the limits"
+        return
+    guide = MotionGuide(limits, ramps, start)
+    guide.move(end, "travel")
+    for _ in range(40000):
+        guide.advance(CYCLE_S, 0.0)
         if not guide.moving:
             break
     assert guide.target == end
