@@ -90,15 +90,9 @@ def check_ramps(limits: Limits, ramps: Ramps) -> None:
 def _check_turns(limits: Limits, motion: Motion, ramp: Ramp) -> None:
     """The same for a turn, which a ramp makes with its own figures in degrees, slower where they exceed TURN_DEG_S."""
     slower = max(1.0, ramp.speed_mm_s / TURN_DEG_S)
-    turns = {
-        "max_turn_deg_s": (limits.max_turn_deg_s, ramp.speed_mm_s / slower, "speed_mm_s"),
-        "max_turn_acceleration_deg_s2": (
-            limits.max_turn_acceleration_deg_s2,
-            ramp.acceleration_mm_s2 / slower,
-            "acceleration_mm_s2",
-        ),
-    }
-    for limit, (bound, value, name) in turns.items():
+    turns = {"max_turn_deg_s": "speed_mm_s", "max_turn_acceleration_deg_s2": "acceleration_mm_s2"}
+    for limit, name in turns.items():
+        bound, value = getattr(limits, limit), getattr(ramp, name) / slower
         if not value <= bound:
             why = f"limits.{limit} = {bound:g}, and turns reach {value:g} on ramps.{motion}"
             raise LimitError(f"{why}: lower ramps.{motion}.{name}")

@@ -79,13 +79,13 @@ def started(folder: Path, models_folder: Path, fingers: tuple[FakeFinger, FakeFi
     return service_process(models_folder, folder / "recordings", *options)
 
 
-def stands(arm: TinyArm, more_mm: float = 0.0) -> None:
+def stands(arm: TinyArm) -> None:
     """The arm stands, went no further than the bound after the fault, and goes nowhere any more."""
     assert arm.stopped
     assert not arm.descending()
     depth_mm = arm.depth_mm()
     if arm.broken_mm is not None:
-        assert depth_mm - arm.broken_mm <= BOUND_MM + more_mm
+        assert depth_mm - arm.broken_mm <= BOUND_MM
     time.sleep(0.1)
     assert arm.depth_mm() == depth_mm
     assert not arm.moves

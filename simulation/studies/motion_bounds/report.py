@@ -19,8 +19,8 @@ def bounds_page(data: dict[str, Any]) -> str:
         # How far the arm moves once nobody watches, simulated
 
         The worst of {len(rows)} faults is *{worst["fault"]}, {worst["phase"]}*: the arm travelled
-        {worst["travel_mm"]:.2f} mm after the capture of the last judged frame. The limit is
-        {BOUND_MM:g} mm.
+        {worst["travel_mm"]:.2f} mm after the capture of the last judged frame. The limit is {BOUND_MM:g} mm. Some
+        faults of cameras, worse than those tried here, [are not bounded](#what-it-cannot-bound).
 
         The largest force was {max(row["force_n"] for row in rows):.1f} N; the limit is {MOST_N:g} N. After a hold,
         nothing moved by more than {max(row["moved_mm"] for row in rows):.2f} mm.
@@ -66,8 +66,9 @@ Let the camera server stamp its frames at capture (`X-Timestamp` in the header o
 PC's monotonic clock). One that does not is only as good as its latency, which commissioning measures.
 
 **A frozen picture with fresh noise** [does not renew the lease](decisions/0199-a-first-copy-renews-no-lease.md) if
-its original was judged. Beneath noise much stronger than the camera's own, only the second copy is recognised: the
-bound grows by one frame period. No frames are judged between closing the fingers and arming, nor between two attempts.
-If both cameras begin to repeat themselves there, only full depth and the forces that the grasp can carry bound the
-motion.
+its original was judged. That was tried beneath noise of up to two grey levels, less than the simulated camera's own.
+Beneath much stronger noise, and in video that was compressed across its frames, only the second copy is recognised:
+the bound grows by one frame period. No frames are judged between closing the fingers and arming, nor between two
+attempts. If both cameras begin to repeat themselves there, only full depth and the forces that the grasp can carry
+bound the motion.
 """

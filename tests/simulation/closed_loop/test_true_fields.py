@@ -6,7 +6,7 @@ import pytest
 from service.perception.finger import TactileFinger
 from service.perception.markers.tracker import MarkerTracker
 from simulation.closed_loop.lockstep import LockstepCell
-from simulation.closed_loop.true_fields import TrueFieldFinger
+from simulation.closed_loop.true_fields import Fault, Trouble, TrueFieldFinger
 from simulation.scene.unstated import Unstated
 from simulation.scene.worlds import load_scene
 
@@ -57,3 +57,13 @@ def test_a_light_grip_that_moves_no_marker_is_seen_in_the_picture():
     observations = [finger.observe(cell.next_pair().left) for finger in fingers]
     assert [one.bulge < 1.0 < one.touch for one in observations] == [True, True]
     assert observations[0].touch == pytest.approx(observations[1].touch, rel=0.2)
+
+
+def test_a_stuck_camera_shows_nothing_certain_from_its_first_copy_on():
+    cell = LockstepCell.build(load_scene("rectangle"), 0.0, 0.0, seed=3)
+    finger = TrueFieldFinger(cell, "left", Trouble(Fault("stuck")))
+    original = finger.observe(cell.next_pair().left)
+    finger.rearm()
+    first, second = (finger.observe(cell.next_pair().left) for _ in range(2))
+    assert (original.certain_ns, first.certain_ns) == (original.captured_ns, original.captured_ns)
+    assert [one.field.usable for one in (original, first, second)] == [True, True, False]
