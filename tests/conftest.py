@@ -16,7 +16,8 @@ from hypothesis import HealthCheck, settings
 from service.session.memory import stop_searching_what_stays
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # read when numpy and torch are imported
-os.environ["TACTILE_STATE"] = tempfile.mkdtemp(prefix="tactile-state-")  # never the token of who runs the tests
+STATE = tempfile.TemporaryDirectory(prefix="tactile-state-")  # until this process ends
+os.environ["TACTILE_STATE"] = STATE.name  # never the token of who runs the tests
 # All servers are the tests' own; otherwise each client would read the machine's 150 authorities in 50 ms.
 os.environ["SSL_CERT_FILE"] = str(Path(__file__).with_name("authority.pem"))
 

@@ -36,10 +36,13 @@ def cut_or_filled(decode: Callable[..., TactileFrame]) -> Callable[..., TactileF
     return lambda message, spec=None: decode(message.ljust(len(FRAME), b"\0")[: len(FRAME)], spec)
 
 
+SCRATCH = tempfile.TemporaryDirectory(prefix="hard-cases-")  # until this process ends
+
+
 @lru_cache
 def _dataset() -> Path:
-    """Two committed shards of 12 made-up trials; kept until the process ends."""
-    return made_up_dataset(Path(tempfile.mkdtemp(prefix="hard-cases-")), [made_up_trial(k) for k in range(24)])
+    """Two committed shards of 12 made-up trials."""
+    return made_up_dataset(Path(SCRATCH.name), [made_up_trial(k) for k in range(24)])
 
 
 @contextmanager

@@ -49,8 +49,9 @@ def single_against_double_precision(seed: int) -> float:
 @lru_cache
 def _small(name: str) -> Model:
     """int8 build of a released step model that reads pictures, calibrated on golden frames."""
-    out = Path(tempfile.mkdtemp(prefix="hard-cases-")) / f"{Path(name).name}.step.onnx"
-    return open_model(quantise(ROOT / "models" / f"{name}.step.onnx", out, _golden_decisions()))
+    with tempfile.TemporaryDirectory() as scratch:
+        out = Path(scratch) / f"{Path(name).name}.step.onnx"
+        return open_model(quantise(ROOT / "models" / f"{name}.step.onnx", out, _golden_decisions()))
 
 
 def _golden_decisions() -> list[Decision]:
