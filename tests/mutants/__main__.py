@@ -27,7 +27,7 @@ from tests.mutants.forked import Copy
 
 ROOT = Path(__file__).parents[2]
 ROOMS = (
-    "service/decision", "service/perception/slip", "service/session",
+    "service/decision", "service/perception", "service/session",
     "robot_client/insertion", "robot_client/robots", "robot_client/grippers",
 )  # fmt: skip
 NAME, UNJUDGED = "mutants", "not judged yet"
@@ -129,7 +129,7 @@ def mutants_page(report: dict) -> str:
         with the 95 % Wilson interval.
 
         `make mutants` makes {report["count"]} random small changes (seed {report["seed"]}) to the modules that
-        decide, claim, detect slip and move, here at commit `{report["commit"][:8]}`. Each mutant runs against
+        decide, claim, perceive and move, here at commit `{report["commit"][:8]}`. Each mutant runs against
         the fast tests of its own room only. The tests were written before the seed was drawn, with samples of
         other seeds as a guide, so the figure is a fair sample; tests that the survivors suggested came later.
 
