@@ -175,11 +175,18 @@ def test_a_regrasped_object_is_held_by_an_upright_tool():
 # ---- geometry and bounds --------------------------------------------------------------------------------------------
 
 
-@given(st.floats(-400.0, 400.0), st.floats(-80.0, 80.0), st.tuples(*[st.floats(-1.0, 1.0)] * 4))
-def test_yaw_and_tilt_survive_the_way_to_the_controller_and_back(yaw_deg, tilt_deg, rotation):
-    frame = CellFrame(rotation=rotation) if sum(abs(v) for v in rotation) > 0.1 else CellFrame()
+@given(
+    st.floats(-400.0, 400.0),
+    st.floats(-80.0, 80.0),
+    st.tuples(*[st.floats(-1.0, 1.0)] * 4),
+    st.tuples(*[st.floats(-2000.0, 2000.0)] * 3),
+)
+def test_a_pose_survives_the_way_to_the_controller_and_back(yaw_deg, tilt_deg, rotation, origin_mm):
+    turned = rotation if sum(abs(v) for v in rotation) > 0.1 else (1.0, 0.0, 0.0, 0.0)
+    frame = CellFrame(origin_mm=origin_mm, rotation=turned)
     start = WorkPose(x_mm=1.0, y_mm=2.0, z_mm=3.0, yaw_deg=yaw_deg, tilt_deg=tilt_deg)
     back, leans_deg = frame.from_controller(frame.to_controller(start), near_yaw_deg=yaw_deg)
+    assert (back.x_mm, back.y_mm, back.z_mm) == pytest.approx((1.0, 2.0, 3.0), abs=1e-9)
     assert back.turn_deg(start) < 1e-6
     assert leans_deg == pytest.approx(abs(tilt_deg), abs=1e-6)
 

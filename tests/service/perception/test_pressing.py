@@ -90,6 +90,12 @@ def test_a_point_without_markers_is_not_seen_and_shows_no_motion() -> None:
     assert not read[np.abs(LATTICE.points_mm.reshape(-1, 2) - rest).max(1) > 1.5].any()
 
 
+def test_a_point_needs_a_quarter_of_the_markers_that_could_show_it() -> None:
+    moved, weights = np.array([[1.0, 0.0], [4.0, 0.0]], np.float32), np.array([[0.2, 0.1]], np.float32)
+    assert on_lattice(moved, np.array([True, True]), weights) == pytest.approx(np.array([[2.0, 0.0, 1.0]]))
+    assert not on_lattice(moved, np.array([True, False]), weights).any()
+
+
 STAMP_NS = st.integers(0, 5_000_000_000)
 
 
