@@ -76,7 +76,7 @@ def test_a_warp_is_undone_and_ends_at_its_corners(warp, seed):
     places = points(seed)
     assert warp.one_to_one()
     assert warp.undo(warp.apply(places)) == pytest.approx(places, abs=1e-4)
-    beyond = HIGH + [[50.0, 0.0], [0.0, 30.0], [5.0, 5.0]]
+    beyond = HIGH + np.array([[50.0, 0.0], [0.0, 30.0], [5.0, 5.0]])
     nearest = np.minimum(beyond, HIGH)
     assert warp.apply(beyond) - beyond == pytest.approx(warp.apply(nearest) - nearest)
 
@@ -110,7 +110,7 @@ def test_a_scaled_projection_scales_its_plane(lens, warp, scale, shift):
 @given(lenses(), warps(3), st.floats(-3.0, 3.0), st.floats(0.5, 2.0))
 def test_a_moved_camera_shows_the_same_plane(lens, warp, turn_rad, zoom):
     """What lies at a raw point before lies at the moved point after."""
-    turn = cv2.getRotationMatrix2D((100.0, 80.0), np.degrees(turn_rad), zoom) + [[0, 0, 7.0], [0, 0, -4.0]]
+    turn = cv2.getRotationMatrix2D((100.0, 80.0), np.degrees(turn_rad), zoom)
     change, raw = np.vstack([turn, [0, 0, 1]]), points(4)
     moved = cv2.perspectiveTransform(raw[:, None], change)[:, 0]
     projection = Projection(TILTED, lens, warp)
