@@ -41,14 +41,14 @@ def drawn(count: int, seed: int) -> list[Mutant]:
     return [mutant(ROOT, *place) for place in random.Random(seed).sample(places, min(count, len(places)))]
 
 
-def room_of(module: str) -> str:
+def room_of(root: Path, module: str) -> str:
     """The folder of tests that mirrors the module's, or the nearest one above that exists."""
     folders = [Path("tests", folder) for folder in Path(module).parents]
-    return str(next(folder for folder in folders if (ROOT / folder).is_dir()))
+    return str(next(folder for folder in folders if (root / folder).is_dir()))
 
 
-def nearest_first(module: str) -> list[str]:
-    """The files of the mirroring folder: the module's own tests, those that import it, the others."""
+def nearest_first(root: Path, module: str) -> list[str]:
+    """The files of the mirroring folder in ``root``: the module's own tests, those that import it, the others."""
     path = Path(module)
 
     def distance(file: Path) -> tuple[bool, bool, str]:
@@ -56,13 +56,13 @@ def nearest_first(module: str) -> list[str]:
         imported = any(path.parent.name in line and path.stem in line for line in imports)
         return file.name != f"test_{path.stem}.py", not imported, str(file)
 
-    files = sorted((ROOT / room_of(module)).rglob("test_*.py"), key=distance)
-    return [str(file.relative_to(ROOT)) for file in files]
+    files = sorted((root / room_of(root, module)).rglob("test_*.py"), key=distance)
+    return [str(file.relative_to(root)) for file in files]
 
 
 def killer(change: Mutant, copy: Copy, timeout_s: float, flaky: list[str]) -> str:
     """The first test that fails with the mutant, except for ``flaky`` ones; empty if there is none."""
-    changed, files = copy.root / change.module, nearest_first(change.module)
+    changed, files = copy.root / change.module, nearest_first(copy.root, change.module)
     before = changed.read_bytes()
     changed.write_text(change.source)
     failed = copy.failure(change.module, [*files, *(f"--deselect={test}" for test in flaky)], timeout_s)

@@ -65,4 +65,4 @@ def test_each_mutant_differs_from_the_module_in_one_line() -> None:
     ],
 )
 def test_a_mutant_meets_the_room_of_its_own_room(module: str, folder: str) -> None:
-    assert room_of(module) == folder
+    assert room_of(ROOT, module) == folder
