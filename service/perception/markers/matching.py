@@ -65,10 +65,11 @@ class View:
 
 
 def nearest_spot(predicted: FloatArray, points: FloatArray, reach: float) -> NDArray[np.intp]:
-    """Index [rows, cols] of the spot nearest to each prediction within ``reach`` px, -1 if none; no spot twice."""
+    """Index [rows, cols] of the spot nearest to each prediction within ``reach`` px, -1 if none; no spot twice.
+
+    There is at least one spot.
+    """
     rows, cols = predicted.shape[:2]
-    if len(points) == 0:
-        return np.full((rows, cols), -1, np.intp)
     low = np.minimum(points.min(0), predicted.reshape(-1, 2).min(0)) - 2 * reach
     cell = np.floor((points - low) / reach).astype(np.intp)
     node = np.floor((predicted.reshape(-1, 2) - low) / reach).astype(np.intp)
@@ -107,8 +108,6 @@ def score_match(
 ) -> Match:
     """Turn an assignment of spots to nodes into a :class:`Match`, dropping torn nodes and filling gaps."""
     valid = spot >= 0
-    if len(points) == 0:
-        return Match(previous, valid, _CAP, 0, spot)
     xy = np.where(valid[..., None], points[spot], previous)
     displacement = xy - _affine(rest, xy, valid)  # in a twisted grid, neighbours move very differently
     torn = _torn(displacement, valid, _TEAR * pitch)

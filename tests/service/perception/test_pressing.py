@@ -62,6 +62,15 @@ def test_the_onset_is_found_between_the_frames_that_frame_it() -> None:
         assert onset_depth(depths, noisy, 1) == pytest.approx(begin_mm, abs=0.02)
 
 
+def test_the_onset_lies_between_the_first_frame_that_moved_and_the_one_before_or_a_frame_earlier() -> None:
+    depths, field = np.arange(4) * 0.3, np.ones((2, 9, 9, 2), np.float32)
+    hardly_grown = np.stack([0 * field, 0 * field, field, 1.1 * field])
+    assert onset_depth(depths, hardly_grown, 2) == 0.3, "the line would begin before the frame at rest"
+    assert onset_depth(depths[2:], hardly_grown[2:], 0) == pytest.approx(0.3), "a frame earlier, as none is known"
+    shrunk = np.stack([0 * field, -field, field, field])
+    assert onset_depth(depths, shrunk, 1) == pytest.approx(0.3 - 1e-4), "never after the frame"
+
+
 def test_step_weights_are_those_of_a_mean_over_a_line() -> None:
     depths = np.array([0.0, 0.1, 0.35, 0.4, 0.9])
     weights = step_weights(depths, 0.2, 0.5)

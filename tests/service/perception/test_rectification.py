@@ -1,8 +1,11 @@
+import re
+
 import cv2
 import numpy as np
 import pytest
 
-from service.contract import Sensor
+from service.contract import FrameSpec, Sensor
+from service.perception.lens import Lens, Warp
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration, Measured, Rectifier
 from tests.service.perception.synthetic import draw, grid
 
@@ -56,3 +59,99 @@ def test_rectified_markers_lie_where_the_homography_puts_them():
     again = Rectifier(CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified)).apply(np.asarray(raw, np.uint8))
     inner = np.s_[5:-5, 5:-5]
     assert np.abs(again[inner].astype(int) - flat[inner]).mean() < 8
+
+
+BENT = CameraCalibration(
+    TRAPEZOID,
+    SENSOR.raw,
+    SENSOR.rectified,
+    Lens((210.0, 155.0), 266.8, 0.08, -0.01),
+    Warp(np.array([10.0, 20.0]), np.array([310.0, 300.0]), np.array([[1.0, 0.5, -2.0], [0.2, 1.5, 0.3]])),
+    Measured("2026-01-01", "A1", 0.31, 0.97, FINGERPRINT),
+    0.07,
+)
+
+
+def test_lens_warp_and_what_was_measured_are_loaded_back(tmp_path):
+    Calibration(BENT, CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified)).save(tmp_path / "c.toml")
+    loaded = Calibration.load(tmp_path / "c.toml")
+    assert (loaded.left.lens, loaded.left.measured, loaded.left.mm_per_px) == (BENT.lens, BENT.measured, 0.07)
+    assert (loaded.right.lens, loaded.right.warp, loaded.right.measured) == (None, None, None)
+    places = np.random.default_rng(0).uniform(0, 300, (20, 2))
+    assert np.array_equal(loaded.left.projection.plane(places), BENT.projection.plane(places))
+
+
+def test_each_rectified_pixel_shows_the_raw_one_from_which_it_is_projected():
+    """The raw frame holds its own coordinates, halved; what lies outside it is black."""
+    v, u = np.mgrid[0:320, 0:427]
+    raw = np.stack([u / 2, v / 2, np.full_like(u, 255)], -1).astype(np.uint8)
+    shown = Rectifier(BENT).apply(raw)
+    places = np.array([[5, 7], [160, 150], [300, 40], [40, 310], [320, 300]])
+    source = BENT.projection.raw(places.astype(np.float64))
+    assert shown[places[:, 1], places[:, 0], :2] == pytest.approx(source / 2, abs=1.0)
+    aside = CameraCalibration(np.array([[1.0, 0, 150], [0, 1, 0], [0, 0, 1]]), SENSOR.raw, SENSOR.rectified)
+    shown = Rectifier(aside).apply(raw)
+    assert not shown[:, :149].any()
+    assert (shown[:, 151:, 2] == 255).all()
+
+
+def homography(*, from_rectified):
+    return np.linalg.inv(np.array(from_rectified, np.float64))
+
+
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        (np.eye(3) * np.nan, "3 x 3 finite numbers"),
+        (np.eye(2), "3 x 3 finite numbers"),
+        (np.zeros((3, 3)), "degenerate"),
+        (np.array([[1.0, 2, 0], [2, 4, 0], [0, 0, 1]]), "degenerate"),
+        (homography(from_rectified=[[1, 0, 0], [0, 1, 0], [-1 / 200, 0, 1]]), "horizon"),
+        (homography(from_rectified=[[1, 0, 0], [0, 1, 0], [0, -1 / 319, 1]]), "horizon"),
+        (homography(from_rectified=[[1, 0, 0], [0, 1, 0], [-1 / 327, 0, 1 + 1e-12]]), "horizon"),
+        (np.array([[1.0, 0, 430], [0, 1, 0], [0, 0, 1]]), "outside the raw one"),
+        (np.array([[12.0, 0, 0], [0, 12, 0], [0, 0, 1]]), "outside the raw one"),
+    ],
+)
+def test_a_homography_that_shows_no_gel_is_refused(matrix, message):
+    with pytest.raises(CalibrationError, match=message):
+        CameraCalibration(matrix, SENSOR.raw, SENSOR.rectified)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [-TRAPEZOID, 1e-3 * TRAPEZOID, homography(from_rectified=[[1, 0, 0], [0, 1, 0], [-1 / 400, 0, 1]])],
+)
+def test_a_homography_is_the_same_whatever_its_factor_and_may_lean(matrix):
+    CameraCalibration(matrix, SENSOR.raw, SENSOR.rectified)
+
+
+FOLDED = Warp(BENT.warp.low, BENT.warp.high, np.array([[0.0, 0.0, 100.0], [0.0, 0.0, 0.0]]))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [({"lens": Lens((213.0, 160.0), 266.8, -0.4, 0.0)}, "lens_k"), ({"warp": FOLDED}, "warp_px")],
+)
+def test_a_lens_or_warp_that_folds_the_frame_is_refused(change, message):
+    with pytest.raises(CalibrationError, match=f"{message} folds"):
+        CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified, **change)
+
+
+@pytest.mark.parametrize(
+    ("width_px", "height_px", "mm_per_px", "says"),
+    [
+        (None, None, None, ""),
+        (None, None, 1.0, ""),
+        (None, None, 1.002, "mm per px, the models expect"),
+        (326, None, None, r"\(326, "),
+        (None, 318, None, ", 318\\)"),
+    ],
+)
+def test_frames_unlike_those_of_the_models_are_named(models, width_px, height_px, mm_per_px, says):
+    card = models.card
+    width, height = card.frame.width_px, card.frame.height_px
+    frame = FrameSpec(width_px=width_px or width, height_px=height_px or height, rectified=True)
+    scale = None if mm_per_px is None else mm_per_px * card.profile.mm_per_px
+    one = CameraCalibration(TRAPEZOID, SENSOR.raw, frame, mm_per_px=scale)
+    assert re.search(says, Calibration(one, one).unlike(card)) if says else not Calibration(one, one).unlike(card)

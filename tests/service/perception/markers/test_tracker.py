@@ -251,16 +251,20 @@ def test_a_frame_of_another_size_or_type_is_refused():
         tracker.update(np.zeros((320, 327, 3), np.float32), 1)  # type: ignore[arg-type]
 
 
-def test_a_jump_that_may_be_a_whole_pitch_is_said_to_be_ambiguous_and_forgotten():
-    """A grid that fills the picture has no border: one step more or less looks the same."""
-    rng = np.random.default_rng(4)
-    step = np.array([15.0, 0.0])
+def borderless(way):
+    """Pictures of a grid wider than they are, shifted by these shares of a pitch."""
+    rng, step = np.random.default_rng(4), np.array([15.0, 0.0])
     wide = grid(jitter=0.0)
     wide = np.concatenate(
         [wide[:, :1] - 2 * step, wide[:, :1] - step, wide, wide[:, -1:] + step, wide[:, -1:] + 2 * step], 1
     )
-    tracker, way = MarkerTracker(), [0, 0.3, 0.55, 0.9, 0.3, 0.0, 0.0]
-    fields = [tracker.update(draw(wide + shift * step, rng), k * FRAME_NS) for k, shift in enumerate(way)]
+    return [draw(wide + shift * step, rng) for shift in way]
+
+
+def test_a_jump_that_may_be_a_whole_pitch_is_said_to_be_ambiguous_and_forgotten():
+    """A grid that fills the picture has no border: one step more or less looks the same."""
+    way = [0, 0.3, 0.55, 0.9, 0.3, 0.0, 0.0]
+    fields = follow(MarkerTracker(), borderless(way))
     unsure = [field for field in fields if field.status == "ambiguous"]
     assert unsure
     assert not any(field.usable or field.valid.any() for field in unsure)
@@ -270,8 +274,7 @@ def test_a_jump_that_may_be_a_whole_pitch_is_said_to_be_ambiguous_and_forgotten(
         assert abs(moved - [shift, 0]).max() < 0.1, "the grid has not slid by a step"
 
 
-@pytest.mark.parametrize("up_px", [1.0, 3.0])
-def test_a_grid_followed_a_step_off_after_a_jump_is_found_again_at_rest(up_px):
+def torn_once(up_px):
     """One picture of another grasp tears the grid, whose upper row the picture's border cuts."""
     rng = np.random.default_rng(0)
     rest = grid(6, 7, pitch=22.0, width=160, height=120, jitter=0.2, seed=1) - [0, up_px]
@@ -281,9 +284,13 @@ def test_a_grid_followed_a_step_off_after_a_jump_is_found_again_at_rest(up_px):
         pressed += np.array(carried) * near[..., None]
     hidden = np.zeros(rest.shape[:2], bool)
     hidden[[0, 0, 1, 2, 2, 2, 3, 4, 4, 4, 5], [3, 6, 0, 1, 3, 4, 5, 0, 1, 2, 1]] = True
-    tracker = MarkerTracker()
     way = [rest, rest, rest, pressed[~hidden], (rest + pressed) / 2, rest, rest, rest]
-    fields = [tracker.update(draw(points, rng, 160, 120, 10.0), 4 * k * FRAME_NS) for k, points in enumerate(way)]
+    return [draw(points, rng, 160, 120, 10.0) for points in way]
+
+
+@pytest.mark.parametrize("up_px", [1.0, 3.0])
+def test_a_grid_followed_a_step_off_after_a_jump_is_found_again_at_rest(up_px):
+    fields = follow(MarkerTracker(), torn_once(up_px))
     assert fields[3].status == "ambiguous", "otherwise this tests nothing"
     assert fields[5].status == "ambiguous"
     assert all(field.status == "tracking" for field in fields[6:])

@@ -1,0 +1,106 @@
+"""The same pictures give the same marker fields as they did: no limit of the tracker moves unnoticed."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.perception.markers.field import MarkerField
+from service.perception.markers.tracker import MarkerTracker
+from tests.kept import is_as_kept
+from tests.service.perception.markers.test_tracker import borderless, shifted, torn_once
+from tests.service.perception.synthetic import FRAME_NS, draw, grid, twist
+
+Pictures = list[np.ndarray]
+REST = grid()
+BESIDE_PX = 10.0  # added to what is kept, of which a thousandth may differ: a hundredth of a pixel
+
+
+def drawn(*places: np.ndarray, **options: float) -> Pictures:
+    rng = np.random.default_rng(11)
+    return [draw(points, rng, **options) for points in places]
+
+
+def covered(image: np.ndarray, columns: slice) -> np.ndarray:
+    image[:, columns] = 90
+    return image
+
+
+def carried_away() -> Pictures:
+    """Shifted to the border and beyond, then back with a leap."""
+    steps = [REST + np.array([0.0, -3.5 * k]) for k in range(7)]
+    return drawn(*steps, REST)
+
+
+def jumps() -> Pictures:
+    """By nearly a pitch, by just below half of one, by two, home, and by one and a half."""
+    places = [(0, 0), (13.5, 0), (13.5, 7.2), (-16.5, 7.2), (0, 0), (22.5, 0), (22.5, 0.2)]
+    return drawn(*(REST + np.array(place) for place in places), noise=4.0)
+
+
+def hidden_and_jumped() -> Pictures:
+    """A third is covered, then the rest jumps, then all is seen again."""
+    images = drawn(REST, *(shifted(REST, *by) for by in ((0, 0), (0.4, 0), (12, 0), (12, 0.3))))
+    return [images[0], covered(images[1], slice(0, 110)), covered(images[2], slice(0, 110)), *images[3:]]
+
+
+def smeared_and_strewn() -> Pictures:
+    """Markers drawn long, spots between them, and some that merge."""
+    merged, strewn = REST.copy(), REST[3:9, 4:9] + 7.5
+    merged[12:15, 12:16:2] = merged[12:15, 13:17:2]
+    images = drawn(REST, np.concatenate([REST.reshape(-1, 2), strewn.reshape(-1, 2)]), merged, REST + 0.5)
+    images[3][100:112, 150:153] = images[3][104, 151]
+    return images
+
+
+def darkened() -> Pictures:
+    """Half the light, a twentieth of it, and nothing but a corner of the grid."""
+    bright, dim, dark, corner, back = drawn(REST, REST + 0.6, REST + 0.6, REST[:2, :1], REST + 1.0)
+    return [bright, (dim * 0.5).astype(np.uint8), (dark * 0.05).astype(np.uint8), corner, back]
+
+
+def stretched() -> Pictures:
+    across = REST[..., 0] - 166.0
+    shape = np.sign(across) * (1 - np.exp(-np.abs(across) / 14.0)) * np.exp(-np.abs(across) / 60.0)
+    shape *= np.exp(-np.square((REST[..., 1] - 160.0) / 90.0) / 2)
+    return drawn(*(REST + np.stack([by * shape, np.zeros_like(shape)], -1) for by in (0.0, 9.0, 26.0, 28.0)))
+
+
+def large() -> Pictures:
+    """Markers of 14 px, found in a smaller picture; turned and torn apart."""
+    rest = grid(7, 9, 34.0, 320, 240)
+    turned = [twist(rest, 2.5 * k, centre=(160, 120), shift=(0.7 * k, 0)) for k in range(5)]
+    turned[4][2:4, 3:5] += (0.0, 11.0)
+    rng = np.random.default_rng(12)
+    return [draw(points, rng, 320, 240, 14.0) for points in turned]
+
+
+STORIES: dict[str, Callable[[], Pictures]] = {
+    "turns and shifts": lambda: drawn(*(twist(REST, 2.0 * k, shift=(0.4 * k, -0.9 * k)) for k in range(6)), noise=5.0),
+    "is carried away": carried_away,
+    "jumps": jumps,
+    "is hidden and jumps": hidden_and_jumped,
+    "is smeared and strewn": smeared_and_strewn,
+    "is darkened": darkened,
+    "is stretched": stretched,
+    "is large": large,
+    "jumps by what may be a whole pitch": lambda: borderless([0, 0.3, 0.55, 0.9, 0.3, 0.0, 0.0]),
+    "is torn once": lambda: torn_once(3.0),
+}
+
+
+def told(field: MarkerField) -> dict[str, Any]:
+    """Status, and how the measured markers moved, in px: mean, scatter, largest; and where the others were put."""
+    moved = field.displacement_px[field.valid] if field.valid.any() else np.zeros((1, 2))
+    put = field.displacement_px[~field.valid] if not field.valid.all() else np.zeros((1, 2))
+    figures_px = [*moved.mean(0), *moved.std(0), np.hypot(*moved.T).max(), *put.mean(0)]
+    state = {"status": field.status, "reason": field.reason, "valid_n": int(field.valid.sum())}
+    return state | {"px": [BESIDE_PX + float(figure) for figure in figures_px]}
+
+
+@pytest.mark.parametrize("name", STORIES)
+def test_a_grid_is_followed_as_it_was(name: str) -> None:
+    tracker = MarkerTracker()
+    fields = [tracker.update(image, k * FRAME_NS) for k, image in enumerate(STORIES[name]())]
+    is_as_kept(__file__, name, [told(field) for field in fields])

@@ -1,0 +1,101 @@
+"""A grid is found by the topology of its spots, whatever its turn, its gaps and what lies around it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.perception.markers.detect import Candidates
+from service.perception.markers.lattice import assemble, fill_gaps, find_lattice, flood, lattice_basis
+from tests.service.perception.synthetic import draw, grid, twist
+
+PITCH = 15.0
+REST = grid().astype(np.float32)
+
+
+def spots(points: np.ndarray) -> Candidates:
+    flat = np.asarray(points, np.float32).reshape(-1, 2)
+    return Candidates(flat, np.full(len(flat), 50.0, np.float32), np.ones(len(flat), np.float32))
+
+
+@given(st.floats(-180.0, 180.0), st.integers(0, 100))
+def test_the_basis_is_the_quarter_turn_that_is_most_like_what_is_asked_for(degrees: float, seed: int) -> None:
+    turned = twist(grid(seed=seed), degrees).reshape(-1, 2).astype(np.float32)
+    expected = twist(np.eye(2), degrees, centre=(0.0, 0.0)) * PITCH
+    found = lattice_basis(turned, expected.astype(np.float32))
+    assert found == pytest.approx(expected, abs=0.5)
+    quarters = degrees % 90 - 90 * (degrees % 90 > 45)
+    if abs(abs(quarters) - 45) > 2:
+        upright = twist(np.eye(2), quarters, centre=(0.0, 0.0)) * PITCH
+        assert lattice_basis(turned) == pytest.approx(upright, abs=0.5)
+
+
+def test_few_or_scattered_points_have_no_basis() -> None:
+    assert lattice_basis(REST.reshape(-1, 2)[:8]) is None
+    assert lattice_basis(REST[:1, :9].reshape(-1, 2)) is None, "a row has no second direction"
+    assert lattice_basis(REST[:3, :3].reshape(-1, 2)) is not None
+
+
+def test_a_flood_follows_a_grid_that_turns_and_widens_from_end_to_end() -> None:
+    bent = twist(REST, 0.0) * (1 + 0.4 * (REST[..., :1] / 327))
+    bent[..., 1] += 20 * np.sin(REST[..., 0] / 60)
+    order = np.random.default_rng(0).permutation(420)
+    points = bent.reshape(-1, 2)[order].astype(np.float32)
+    seed = int(np.flatnonzero(order == 0)[0])
+    basis = np.stack([bent[0, 1] - bent[0, 0], bent[1, 0] - bent[0, 0]]).astype(np.float32)
+    index, reached = flood(points, basis, np.array([seed]), np.array([[0, 0]]))
+    assert reached.all()
+    assert np.array_equal(index, np.stack([order % 21, order // 21], 1))
+
+
+def test_a_grid_is_cut_out_of_what_lies_around_it_and_its_gaps_are_filled() -> None:
+    kept = np.ones(REST.shape[:2], bool)
+    kept[4:6, 5:9] = kept[0, :3] = False
+    stray = np.array([[REST[0, 3 * k, 0], REST[0, 0, 1] - PITCH] for k in range(1, 4)])  # a seventh of a row above
+    found = assemble(spots(np.concatenate([REST[kept], stray])), np.eye(2, dtype=np.float32) * PITCH, 5.0)
+    assert found is not None
+    assert np.array_equal(found.detected, kept)
+    assert found.xy_px[kept] == pytest.approx(REST[kept])
+    assert found.xy_px == pytest.approx(REST, abs=1.0)
+    assert (found.pitch_px, found.strength) == (pytest.approx(PITCH, rel=0.01), 50.0)
+
+
+@pytest.mark.parametrize(("share", "counts"), [(0.25, False), (0.5, True)])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_row_at_the_border_counts_if_a_third_of_it_is_there(axis: int, share: float, *, counts: bool) -> None:
+    kept = np.ones(REST.shape[:2], bool)
+    last = kept[-1] if axis == 0 else kept[:, -1]
+    last[round(share * last.size) :] = False
+    found = assemble(spots(REST[kept]), np.eye(2, dtype=np.float32) * PITCH, 5.0)
+    assert found is not None
+    assert found.detected.shape[axis] == REST.shape[axis] - (not counts)
+
+
+@pytest.mark.parametrize(("rows", "cols", "found"), [(5, 5, True), (4, 9, False), (9, 4, False)])
+def test_a_grid_has_five_rows_and_columns_at_least(rows: int, cols: int, found: bool) -> None:
+    image = draw(grid(rows, cols, 24.0, 320, 320), np.random.default_rng(0), 320, 320, 8.0)
+    assert (find_lattice(image) is not None) is found
+
+
+@given(st.lists(st.floats(-20.0, 20.0), min_size=8, max_size=8), st.integers(0, 1000))
+def test_gaps_are_filled_as_a_cubic_surface_goes_on(bend_px: list[float], seed: int) -> None:
+    """In each coordinate x^3, x^2 y, x y^2 and y^3, x and y from -1/2 to 1/2."""
+    detected = np.random.default_rng(seed).random((12, 14)) < 0.6
+    if detected.sum() < 60:
+        return
+    v, u = np.mgrid[0:12, 0:14].astype(np.float64)
+    x, y = u / 13 - 0.5, v / 11 - 0.5
+    cubic = np.stack([x**3, x * x * y, x * y * y, y**3], -1)
+    surface = np.stack([u * PITCH + cubic @ bend_px[:4], v * PITCH + cubic @ bend_px[4:]], -1).astype(np.float32)
+    filled, basis = fill_gaps(np.where(detected[..., None], surface, 0.0).astype(np.float32), detected)
+    assert filled == pytest.approx(surface, abs=1e-2)
+    steps = np.stack([np.diff(surface, axis=1).mean((0, 1)), np.diff(surface, axis=0).mean((0, 1))])
+    assert basis == pytest.approx(steps, abs=1e-2)
+
+
+def test_with_few_markers_gaps_are_filled_as_a_plane_goes_on() -> None:
+    detected = np.zeros((6, 6), bool)
+    detected[::2, ::2] = True
+    small = grid(6, 6, PITCH, 100, 100, jitter=0.0).astype(np.float32)
+    filled, _ = fill_gaps(np.where(detected[..., None], small, 0.0).astype(np.float32), detected)
+    assert filled == pytest.approx(small, abs=1e-3)

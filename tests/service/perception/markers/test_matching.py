@@ -1,0 +1,112 @@
+"""Spots are assigned to nodes as by trying them all, and a placement is as good as it explains the frame."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.perception.markers.matching import View, match, nearest_spot, reindex
+from tests.service.perception.synthetic import grid, twist
+
+PITCH = 15.0
+VIEW = View(327, 320, 3.0)
+REST = grid().astype(np.float32)
+
+
+def by_trying_all(predicted: np.ndarray, points: np.ndarray, reach: float) -> np.ndarray:
+    """The nearest spot of each node within reach; a spot that two nodes claim belongs to the nearer one."""
+    apart = np.linalg.norm(predicted.reshape(-1, 1, 2) - points[None], axis=-1)
+    nearest = np.where(apart.min(1) < reach, apart.argmin(1), -1)
+    for spot in set(nearest.tolist()) - {-1}:
+        rivals = np.flatnonzero(nearest == spot)
+        nearest[rivals[apart[rivals, spot] > apart[rivals, spot].min()]] = -1
+    return np.asarray(nearest.reshape(predicted.shape[:2]))
+
+
+@given(st.integers(0, 10_000), st.floats(0.0, 0.3), st.floats(-0.45, 0.45), st.floats(0.0, 0.5))
+def test_the_nearest_spot_is_that_of_trying_them_all(seed: int, scatter: float, off: float, lost: float) -> None:
+    rng = np.random.default_rng(seed)
+    nodes = grid(6, 7, PITCH, 120, 110, jitter=0.0).astype(np.float32)
+    spots = (nodes + rng.normal(0, scatter * PITCH, nodes.shape) + off * PITCH).reshape(-1, 2)
+    spots = spots[rng.random(len(spots)) >= lost].astype(np.float32)
+    if not len(spots):
+        return
+    reach = 0.46 * PITCH
+    close = np.linalg.norm(spots[:, None] - spots[None], axis=-1) + 1e9 * np.eye(len(spots))
+    spots = spots[close.min(1) > 1.5 * reach]  # of two spots in one cell of its table the search knows one
+    if len(spots):
+        assert np.array_equal(nearest_spot(nodes, spots, reach), by_trying_all(nodes, spots, reach))
+
+
+def test_a_grid_in_its_place_has_no_misfit_and_each_missing_or_stray_spot_costs() -> None:
+    points = REST.reshape(-1, 2)
+    whole = match(REST, REST, points, PITCH, VIEW, REST)
+    assert (whole.misfit, whole.torn_n, whole.valid.all()) == (pytest.approx(0.0, abs=1e-6), 0, True)
+    assert np.array_equal(whole.spot.ravel(), np.arange(REST[..., 0].size))
+    fewer = match(REST, REST, points[:-3], PITCH, VIEW, REST)
+    assert fewer.misfit == pytest.approx(3 * 25.0 / 420)
+    stray = np.concatenate([points, points[:4] + PITCH / 2])
+    assert match(REST, REST, stray, PITCH, VIEW, REST).misfit == pytest.approx(4 * 12.5 / 420)
+
+
+def test_a_node_pulled_away_from_its_neighbours_is_torn_and_lies_where_they_say() -> None:
+    moved = REST + np.array([2.0, -1.0], np.float32)
+    torn = moved.copy()
+    torn[8, 9] += (0.0, 8.0)
+    found = match(torn, REST, torn.reshape(-1, 2), PITCH, VIEW, REST)
+    assert found.torn_n == 1
+    assert not found.valid[8, 9]
+    assert found.spot[8, 9] == -1
+    assert found.xy_px[8, 9] == pytest.approx(moved[8, 9], abs=0.3)
+
+
+@pytest.mark.parametrize("jump", [(13.5, 0.0), (0.0, -13.5), (30.0, 15.0), (-45.0, 0.0)])
+def test_a_grid_with_a_hole_keeps_its_identity_over_a_jump(jump: tuple[float, float]) -> None:
+    moved = REST + np.array(jump, np.float32)
+    there = VIEW.contains(moved)
+    there[7:13, 6:12] = False
+    prior = match(REST, REST, moved[there], PITCH, VIEW, REST)
+    found = reindex(moved[there], REST, PITCH, VIEW, REST, prior, 1.0)
+    assert np.array_equal(found.valid, there)
+    assert found.xy_px[there] == pytest.approx(moved[there])
+
+
+def stretched(by_px: float) -> np.ndarray:
+    """The grid pulled apart along a line in its middle, less with distance, as by an edge that presses into it."""
+    across = REST[..., 0] - 166.0
+    pushed = by_px * np.sign(across) * (1 - np.exp(-np.abs(across) / 14.0)) * np.exp(-np.abs(across) / 60.0)
+    pushed *= np.exp(-np.square((REST[..., 1] - 160.0) / 90.0) / 2)
+    return np.asarray(REST + np.stack([pushed, np.zeros_like(pushed)], -1), np.float32)
+
+
+def test_a_stretched_grid_is_linked_from_the_nodes_that_stand_still() -> None:
+    moved = stretched(26.0)
+    prior = match(REST, REST, moved.reshape(-1, 2), PITCH, VIEW, REST)
+    assert not np.array_equal(prior.spot.ravel(), np.arange(420)), "some are taken for their neighbours at first"
+    found = reindex(moved.reshape(-1, 2), REST, PITCH, VIEW, REST, prior, 1.0)
+    assert np.array_equal(found.spot.ravel(), np.arange(420))
+
+
+def test_an_island_in_a_hole_of_a_stretched_grid_is_reached_over_the_gap() -> None:
+    moved, there = stretched(18.0), np.ones(REST.shape[:2], bool)
+    there[6:14, 11:18] = False
+    there[8:12, 13:16] = True
+    prior = match(REST, REST, moved[there], PITCH, VIEW, REST)
+    found = reindex(moved[there], REST, PITCH, VIEW, REST, prior, 1.0)
+    assert np.array_equal(found.valid, there)
+    assert found.xy_px[there] == pytest.approx(moved[there])
+
+
+def test_a_grid_that_turned_by_a_third_of_a_right_angle_is_no_other_placement() -> None:
+    moved = twist(REST, 30).astype(np.float32)
+    there = VIEW.contains(moved)
+    prior = match(REST, REST, moved[there], PITCH, VIEW, REST)
+    found = reindex(moved[there], REST, PITCH, VIEW, REST, prior, 1.0)
+    assert np.array_equal(found.valid, there)
+    assert found.xy_px[there] == pytest.approx(moved[there])
+
+
+def test_room_is_the_distance_to_the_nearest_border() -> None:
+    places = np.array([[0.0, 50.0], [326.0, 319.0], [163.0, 10.0], [320.0, 160.0], [-4.0, 160.0]], np.float32)
+    assert VIEW.room_px(places) == pytest.approx([0.0, 0.0, 10.0, 6.0, -4.0])
+    assert VIEW.contains(places).tolist() == [False, False, True, True, False]
