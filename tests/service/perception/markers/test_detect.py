@@ -16,19 +16,19 @@ def alone(x: float, y: float, diameter: float, **options: float) -> np.ndarray:
 @given(st.floats(60.0, 90.0), st.floats(45.0, 75.0), st.sampled_from([(5.0, 1), (9.0, 1), (14.0, 2), (25.0, 4)]))
 def test_a_marker_is_found_to_a_hundredth_of_its_diameter(x: float, y: float, size: tuple[float, int]) -> None:
     diameter, shrink = size
-    found = MarkerDetector(diameter, 2.6 * diameter, shrink).detect(alone(x, y, diameter, noise=0.0), 20.0)
-    assert len(found.xy_px) == 1
-    assert found.xy_px[0] == pytest.approx((x, y), abs=max(0.04, 0.012 * diameter))
+    spots = MarkerDetector(diameter, 2.6 * diameter, shrink).detect(alone(x, y, diameter, noise=0.0), 20.0)
+    assert len(spots.xy_px) == 1
+    assert spots.xy_px[0] == pytest.approx((x, y), abs=max(0.04, 0.012 * diameter))
 
 
 def test_the_strongest_comes_first_and_those_at_the_edge_or_below_the_threshold_not_at_all() -> None:
     rng = np.random.default_rng(1)
     image = draw(np.array([[40.0, 60.0], [0.2, 20.0]]), rng, 160, 120, contrast=60.0, noise=0.0)
     dark = draw(np.array([[100.0, 60.0]]), rng, 160, 120, contrast=100.0, noise=0.0)
-    found = MarkerDetector(5.0, 15.0).detect(np.minimum(image, dark), 20.0)
-    assert found.xy_px == pytest.approx(np.array([[100.0, 60.0], [40.0, 60.0]]), abs=0.05)
-    assert found.strength[0] == pytest.approx(found.strength[1] * 100 / 60, rel=0.1)
-    between = float(found.strength.mean())
+    spots = MarkerDetector(5.0, 15.0).detect(np.minimum(image, dark), 20.0)
+    assert spots.xy_px == pytest.approx(np.array([[100.0, 60.0], [40.0, 60.0]]), abs=0.05)
+    assert spots.strength[0] == pytest.approx(spots.strength[1] * 100 / 60, rel=0.1)
+    between = float(spots.strength.mean())
     assert len(MarkerDetector(5.0, 15.0).detect(np.minimum(image, dark), between).xy_px) == 1
 
 

@@ -22,8 +22,7 @@ def spots(points: np.ndarray) -> Candidates:
 def test_the_basis_is_the_quarter_turn_that_is_most_like_what_is_asked_for(degrees: float, seed: int) -> None:
     turned = twist(grid(seed=seed), degrees).reshape(-1, 2).astype(np.float32)
     expected = twist(np.eye(2), degrees, centre=(0.0, 0.0)) * PITCH
-    found = lattice_basis(turned, expected.astype(np.float32))
-    assert found == pytest.approx(expected, abs=0.5)
+    assert lattice_basis(turned, expected.astype(np.float32)) == pytest.approx(expected, abs=0.5)
     quarters = degrees % 90 - 90 * (degrees % 90 > 45)
     if abs(abs(quarters) - 45) > 2:
         upright = twist(np.eye(2), quarters, centre=(0.0, 0.0)) * PITCH
@@ -52,12 +51,12 @@ def test_a_grid_is_cut_out_of_what_lies_around_it_and_its_gaps_are_filled() -> N
     kept = np.ones(REST.shape[:2], bool)
     kept[4:6, 5:9] = kept[0, :3] = False
     stray = np.array([[REST[0, 3 * k, 0], REST[0, 0, 1] - PITCH] for k in range(1, 4)])  # a seventh of a row above
-    found = assemble(spots(np.concatenate([REST[kept], stray])), np.eye(2, dtype=np.float32) * PITCH, 5.0)
-    assert found is not None
-    assert np.array_equal(found.detected, kept)
-    assert found.xy_px[kept] == pytest.approx(REST[kept])
-    assert found.xy_px == pytest.approx(REST, abs=1.0)
-    assert (found.pitch_px, found.strength) == (pytest.approx(PITCH, rel=0.01), 50.0)
+    lattice = assemble(spots(np.concatenate([REST[kept], stray])), np.eye(2, dtype=np.float32) * PITCH, 5.0)
+    assert lattice is not None
+    assert np.array_equal(lattice.detected, kept)
+    assert lattice.xy_px[kept] == pytest.approx(REST[kept])
+    assert lattice.xy_px == pytest.approx(REST, abs=1.0)
+    assert (lattice.pitch_px, lattice.strength) == (pytest.approx(PITCH, rel=0.01), 50.0)
 
 
 @pytest.mark.parametrize(("share", "counts"), [(0.25, False), (0.5, True)])
@@ -66,15 +65,15 @@ def test_a_row_at_the_border_counts_if_a_third_of_it_is_there(axis: int, share: 
     kept = np.ones(REST.shape[:2], bool)
     last = kept[-1] if axis == 0 else kept[:, -1]
     last[round(share * last.size) :] = False
-    found = assemble(spots(REST[kept]), np.eye(2, dtype=np.float32) * PITCH, 5.0)
-    assert found is not None
-    assert found.detected.shape[axis] == REST.shape[axis] - (not counts)
+    lattice = assemble(spots(REST[kept]), np.eye(2, dtype=np.float32) * PITCH, 5.0)
+    assert lattice is not None
+    assert lattice.detected.shape[axis] == REST.shape[axis] - (not counts)
 
 
-@pytest.mark.parametrize(("rows", "cols", "found"), [(5, 5, True), (4, 9, False), (9, 4, False)])
-def test_a_grid_has_five_rows_and_columns_at_least(rows: int, cols: int, found: bool) -> None:
+@pytest.mark.parametrize(("rows", "cols", "enough"), [(5, 5, True), (4, 9, False), (9, 4, False)])
+def test_a_grid_has_five_rows_and_columns_at_least(rows: int, cols: int, enough: bool) -> None:
     image = draw(grid(rows, cols, 24.0, 320, 320), np.random.default_rng(0), 320, 320, 8.0)
-    assert (find_lattice(image) is not None) is found
+    assert (find_lattice(image) is not None) is enough
 
 
 @given(st.lists(st.floats(-20.0, 20.0), min_size=8, max_size=8), st.integers(0, 1000))

@@ -53,11 +53,11 @@ def test_a_node_pulled_away_from_its_neighbours_is_torn_and_lies_where_they_say(
     moved = REST + np.array([2.0, -1.0], np.float32)
     torn = moved.copy()
     torn[8, 9] += (0.0, 8.0)
-    found = match(torn, REST, torn.reshape(-1, 2), PITCH, VIEW, REST)
-    assert found.torn_n == 1
-    assert not found.valid[8, 9]
-    assert found.spot[8, 9] == -1
-    assert found.xy_px[8, 9] == pytest.approx(moved[8, 9], abs=0.3)
+    placed = match(torn, REST, torn.reshape(-1, 2), PITCH, VIEW, REST)
+    assert placed.torn_n == 1
+    assert not placed.valid[8, 9]
+    assert placed.spot[8, 9] == -1
+    assert placed.xy_px[8, 9] == pytest.approx(moved[8, 9], abs=0.3)
 
 
 @pytest.mark.parametrize("jump", [(13.5, 0.0), (0.0, -13.5), (30.0, 15.0), (-45.0, 0.0)])
@@ -66,9 +66,9 @@ def test_a_grid_with_a_hole_keeps_its_identity_over_a_jump(jump: tuple[float, fl
     there = VIEW.contains(moved)
     there[7:13, 6:12] = False
     prior = match(REST, REST, moved[there], PITCH, VIEW, REST)
-    found = reindex(moved[there], REST, PITCH, VIEW, REST, prior, 1.0)
-    assert np.array_equal(found.valid, there)
-    assert found.xy_px[there] == pytest.approx(moved[there])
+    placed = reindex(moved[there], REST, PITCH, VIEW, REST, prior, 1.0)
+    assert np.array_equal(placed.valid, there)
+    assert placed.xy_px[there] == pytest.approx(moved[there])
 
 
 def stretched(by_px: float) -> np.ndarray:
@@ -83,8 +83,8 @@ def test_a_stretched_grid_is_linked_from_the_nodes_that_stand_still() -> None:
     moved = stretched(26.0)
     prior = match(REST, REST, moved.reshape(-1, 2), PITCH, VIEW, REST)
     assert not np.array_equal(prior.spot.ravel(), np.arange(420)), "some are taken for their neighbours at first"
-    found = reindex(moved.reshape(-1, 2), REST, PITCH, VIEW, REST, prior, 1.0)
-    assert np.array_equal(found.spot.ravel(), np.arange(420))
+    placed = reindex(moved.reshape(-1, 2), REST, PITCH, VIEW, REST, prior, 1.0)
+    assert np.array_equal(placed.spot.ravel(), np.arange(420))
 
 
 def test_an_island_in_a_hole_of_a_stretched_grid_is_reached_over_the_gap() -> None:
@@ -92,18 +92,18 @@ def test_an_island_in_a_hole_of_a_stretched_grid_is_reached_over_the_gap() -> No
     there[6:14, 11:18] = False
     there[8:12, 13:16] = True
     prior = match(REST, REST, moved[there], PITCH, VIEW, REST)
-    found = reindex(moved[there], REST, PITCH, VIEW, REST, prior, 1.0)
-    assert np.array_equal(found.valid, there)
-    assert found.xy_px[there] == pytest.approx(moved[there])
+    placed = reindex(moved[there], REST, PITCH, VIEW, REST, prior, 1.0)
+    assert np.array_equal(placed.valid, there)
+    assert placed.xy_px[there] == pytest.approx(moved[there])
 
 
 def test_a_grid_that_turned_by_a_third_of_a_right_angle_is_no_other_placement() -> None:
     moved = twist(REST, 30).astype(np.float32)
     there = VIEW.contains(moved)
     prior = match(REST, REST, moved[there], PITCH, VIEW, REST)
-    found = reindex(moved[there], REST, PITCH, VIEW, REST, prior, 1.0)
-    assert np.array_equal(found.valid, there)
-    assert found.xy_px[there] == pytest.approx(moved[there])
+    placed = reindex(moved[there], REST, PITCH, VIEW, REST, prior, 1.0)
+    assert np.array_equal(placed.valid, there)
+    assert placed.xy_px[there] == pytest.approx(moved[there])
 
 
 def test_room_is_the_distance_to_the_nearest_border() -> None:

@@ -16,8 +16,8 @@ def grid(
 ) -> MarkerField:
     v, u = np.mgrid[0:ROWS, 0:COLUMNS].astype(np.float32) * PITCH_PX
     moved = np.broadcast_to(np.asarray(bent_px, np.float32), (ROWS, COLUMNS, 2))
-    seen = np.ones((ROWS, COLUMNS), bool) if valid is None else valid
-    return MarkerField(np.stack([u, v], -1), moved, seen, None, PITCH_PX, 0, status)
+    measured = np.ones((ROWS, COLUMNS), bool) if valid is None else valid
+    return MarkerField(np.stack([u, v], -1), moved, measured, None, PITCH_PX, 0, status)
 
 
 def through_a_lens(shift, turn_rad, scale, tilt, k1, k2) -> np.ndarray:
