@@ -90,7 +90,7 @@ STORIES: dict[str, Callable[[], Pictures]] = {
 }
 
 
-def told(field: MarkerField) -> dict[str, Any]:
+def shown(field: MarkerField) -> dict[str, Any]:
     """Status, and how the measured markers moved, in px: mean, scatter, largest; and where the others were put."""
     moved = field.displacement_px[field.valid] if field.valid.any() else np.zeros((1, 2))
     put = field.displacement_px[~field.valid] if not field.valid.all() else np.zeros((1, 2))
@@ -103,4 +103,4 @@ def told(field: MarkerField) -> dict[str, Any]:
 def test_a_grid_is_followed_as_it_was(name: str) -> None:
     tracker = MarkerTracker()
     fields = [tracker.update(image, k * FRAME_NS) for k, image in enumerate(STORIES[name]())]
-    is_as_kept(__file__, name, [told(field) for field in fields])
+    is_as_kept(__file__, name, [shown(field) for field in fields])
