@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.perception.markers.matching import View, match, nearest_spot, reindex
-from tests.service.perception.synthetic import grid, twist
+from service.perception.markers.matching import _STEPS, View, _fit_n, _placed, match, nearest_spot, reindex
+from service.perception.markers.tracker import MarkerTracker
+from tests.service.perception.synthetic import draw, grid, twist
 
 PITCH = 15.0
 VIEW = View(327, 320, 3.0)
@@ -106,7 +107,38 @@ def test_a_grid_that_turned_by_a_third_of_a_right_angle_is_no_other_placement() 
     assert placed.xy_px[there] == pytest.approx(moved[there])
 
 
+@pytest.mark.parametrize(("missing_n", "linked"), [(0, False), (6, False), (7, True), (60, True)])
+def test_an_uneven_grid_is_linked_anew_only_where_more_than_a_third_of_a_row_is_missing(
+    monkeypatch: pytest.MonkeyPatch, missing_n: int, *, linked: bool
+) -> None:
+    """It takes 50 to 100 ms, which an arm in contact cannot wait for."""
+    rng, calls, tracker = np.random.default_rng(9), [], MarkerTracker()
+    monkeypatch.setattr(
+        "service.perception.markers.tracker.reindex", lambda *asked: calls.append(asked) or reindex(*asked)
+    )
+    there = np.ones(REST.shape[:2], bool)
+    there[8:11].flat[:missing_n] = False
+    tracker.update(draw(REST, rng), 0)
+    field = tracker.update(draw((REST + rng.normal(0, 1.2, REST.shape))[there], rng), 33_000_000)
+    assert field.valid.sum() > 0.98 * there.sum()
+    assert bool(calls) is linked
+
+
 def test_room_is_the_distance_to_the_nearest_border() -> None:
     places = np.array([[0.0, 50.0], [326.0, 319.0], [163.0, 10.0], [320.0, 160.0], [-4.0, 160.0]], np.float32)
     assert VIEW.room_px(places) == pytest.approx([0.0, 0.0, 10.0, 6.0, -4.0])
     assert VIEW.contains(places).tolist() == [False, False, True, True, False]
+
+
+@given(st.integers(0, 1000))
+def test_what_fits_on_a_grid_after_each_step_is_counted_as_by_placing_it(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cells = rng.permutation(np.argwhere(np.ones((9, 8))))[: rng.integers(1, 60)] - 2
+    counted = _fit_n(cells, _STEPS, (5, 4))
+    placed = [int((_placed(cells + step, np.arange(len(cells)), (5, 4)) >= 0).sum()) for step in _STEPS]
+    assert counted == placed
+
+
+def test_spots_are_placed_at_column_and_row_of_their_cells() -> None:
+    placed = _placed(np.array([(3, 0), (0, 4), (4, 0), (0, 5), (-1, 2)]), np.array([7, 8, 1, 2, 3]), (5, 4))
+    assert (placed[0, 3], placed[4, 0], int((placed >= 0).sum())) == (7, 8, 2)
