@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from service.contract import Sensor
 from simulation.cell.emulators.abb.motion import Pose
 from simulation.physics.inertia import duration_s
+from simulation.scene.ground_truth import moved_mm
 from simulation.scene.state import Cell, CellState
 
 Gel = NDArray[np.floating[Any]]
@@ -190,9 +191,9 @@ class World:
         course, state = self.course, self.state
         if state is None:
             return
-        motion = np.abs(np.asarray(state.block_motion, float))
-        course.max_block_shift_mm = max(course.max_block_shift_mm, float(np.hypot(motion[:, 0], motion[:, 1]).max()))
-        course.max_block_tilt_deg = max(course.max_block_tilt_deg, float(motion[:, 3].max()))
+        moved = moved_mm(state.block_motion, self._mechanics.scene.blocks)
+        course.max_block_shift_mm = max(course.max_block_shift_mm, moved)
+        course.max_block_tilt_deg = max(course.max_block_tilt_deg, float(state.block_motion[:, 3].max()))
         course.max_force_n = max(course.max_force_n, float(np.linalg.norm(np.asarray(state.wrench_n_nmm)[:3])))
 
 

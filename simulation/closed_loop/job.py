@@ -9,6 +9,8 @@ import numpy as np
 
 from simulation.closed_loop.cameras import Camera, foreign_cameras, own_cameras
 from simulation.physics.quasistatic import QuasiStaticCell
+from simulation.scene.ground_truth import moved_mm
+from simulation.scene.parts import Blocks
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.scene import Scene
 from simulation.scene.state import Cell, CellState
@@ -121,10 +123,9 @@ class Course:
     block_mm: float = 0.0
     force_n: float = 0.0
 
-    def take_in(self, state: CellState) -> None:
-        """Take in the next state of the cell."""
-        blocks = state.block_motion
-        self.block_mm = max(self.block_mm, float(np.hypot(blocks[:, 0], blocks[:, 1]).max()))
+    def take_in(self, state: CellState, blocks: Blocks) -> None:
+        """Take in the next state of the cell with these blocks."""
+        self.block_mm = max(self.block_mm, moved_mm(state.block_motion, blocks))
         self.force_n = max(self.force_n, float(np.linalg.norm(state.wrench_n_nmm[:3])))
 
 

@@ -275,7 +275,7 @@ class LockstepCell:
                 raise
             return False
         self._stuck, self.state = 0, state
-        self.course.take_in(state)
+        self.course.take_in(state, self.physics.scene.blocks)
         return True
 
 

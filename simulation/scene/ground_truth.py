@@ -15,7 +15,7 @@ from simulation.scene.parts import Blocks
 Array = NDArray[np.float64]
 
 TILT_DEG = 2.0
-BLOCK_MM = 1.0  # largest allowed displacement of a block
+BLOCK_MM = 1.0  # largest allowed displacement of a block, anywhere along its edge at the gap
 OVERLAP_MM = 0.15  # largest allowed penetration of a wall: 120 N on the scenes' 1000 N/mm, rounded up
 
 
@@ -36,6 +36,17 @@ class Pose(NamedTuple):
         return np.asarray(self.footprint @ self.turn[:, :2].T + self.bottom)
 
 
+def moved_mm(block_motion: Array, blocks: Blocks) -> float:
+    """How far the blocks have moved, mm: the furthest end of their top edges at the gap.
+
+    block_motion [2, 4]: dx, dy mm of the edge's middle, yaw, tilt deg. A block that tips takes its edge along; one that
+    yaws moves its ends further than its middle.
+    """
+    dx, dy, yaw = block_motion[:, :1], block_motion[:, 1:2], np.radians(block_motion[:, 2:3])
+    along = np.array([-0.5, 0.5]) * blocks.size_y_mm
+    return float(np.hypot(dx - np.sin(yaw) * along, dy + (np.cos(yaw) - 1.0) * along).max())
+
+
 def reasons_against(pose: Pose, block_motion: Array, blocks: Blocks, *, grasp_lost: bool) -> list[str]:
     """Why the object does not count as inserted, one sentence each; empty if it is inserted.
 
@@ -45,7 +56,7 @@ def reasons_against(pose: Pose, block_motion: Array, blocks: Blocks, *, grasp_lo
     outline, depth_mm, half_gap_mm = pose.outline, blocks.insertion_depth_mm, 0.5 * blocks.gap_mm
     highest, across = float(outline[:, 2].max()), float(np.abs(outline[:, 0]).max())
     tilt_deg = float(np.degrees(np.arccos(np.clip(pose.turn[2, 2], -1.0, 1.0))))
-    moved_mm = float(np.hypot(block_motion[:, 0], block_motion[:, 1]).max())
+    pushed_mm = moved_mm(block_motion, blocks)
     checks = (
         (highest <= -depth_mm, f"its bottom is {-highest:.1f} mm deep at its highest point, {depth_mm:g} are needed"),
         (
@@ -53,7 +64,7 @@ def reasons_against(pose: Pose, block_motion: Array, blocks: Blocks, *, grasp_lo
             f"it reaches {across:.1f} mm from the gap's centre, {half_gap_mm:g} fit",
         ),
         (tilt_deg < TILT_DEG, f"it is tilted by {tilt_deg:.1f} deg, below {TILT_DEG:g} counts"),
-        (moved_mm < BLOCK_MM, f"a block was moved by {moved_mm:.1f} mm, below {BLOCK_MM:g} counts"),
+        (pushed_mm < BLOCK_MM, f"a block was moved by {pushed_mm:.1f} mm, below {BLOCK_MM:g} counts"),
         (not grasp_lost, "it is not in the grasp any more"),
     )
     return [sentence for holds, sentence in checks if not holds]

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from simulation.physics.kernels.linear import rotation_into
 from simulation.physics.quasistatic import QuasiStaticCell
-from simulation.scene.ground_truth import OVERLAP_MM, Pose, reasons_against
+from simulation.scene.ground_truth import OVERLAP_MM, Pose, moved_mm, reasons_against
 from simulation.scene.scene import Blocks
 from simulation.scene.worlds import load_scene
 
@@ -41,6 +41,7 @@ def test_an_upright_object_in_its_gap_is_inserted():
         (pose(z_mm=-14.0), STILL, False, "deep"),  # pushed up in the hand
         (pose(), STILL, True, "grasp"),  # dropped in
         (pose(), np.array([[0.0, 0.0, 0.0, 0.0], [0.0, -1.2, 0.0, 0.0]]), False, "block"),
+        (pose(), np.array([[0.0, 0.0, -0.8, 0.0], [0.0, 0.0, 0.0, 0.0]]), False, "block"),  # turned about its middle
         (pose(x_mm=4.0), STILL, False, "gap"),
         (pose(yaw_deg=8.0), STILL, False, "gap"),
         (pose(z_mm=np.nan), STILL, False, "deep"),
@@ -64,6 +65,17 @@ def test_whatever_counts_as_inserted_lies_whole_in_its_gap(x, z, tilt, yaw, move
     assert moved < 1.0
     assert at.outline[:, 2].max() <= -15.0
     assert np.abs(at.outline[:, 0]).max() <= 28.0 + OVERLAP_MM
+
+
+@given(st.tuples(*[st.floats(-2, 2)] * 2), st.floats(-3, 3), st.integers(0, 1))
+def test_a_block_has_moved_as_far_as_the_furthest_end_of_its_edge(shift_mm, yaw_deg, block):
+    about_z = np.empty((3, 3))
+    rotation_into(about_z, 0.0, 0.0, np.radians(yaw_deg))
+    ends = np.array([[0.0, -0.5 * BLOCKS.size_y_mm, 0.0], [0.0, 0.5 * BLOCKS.size_y_mm, 0.0]])
+    furthest = np.linalg.norm(ends @ about_z.T + [*shift_mm, 0.0] - ends, axis=1).max()
+    motion = np.zeros((2, 4))
+    motion[block] = [*shift_mm, yaw_deg, 0.0]
+    assert moved_mm(motion, BLOCKS) == pytest.approx(furthest)
 
 
 def test_a_scene_may_ask_for_more_depth():
