@@ -23,6 +23,7 @@ from simulation.closed_loop.statistics import Row, claimed_wrongly
 from simulation.closed_loop.true_fields import Fault, Kind
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import World
+from simulation.studies.commissioning import MISTAKES
 from simulation.studies.lateness import errors_ms
 
 NAME = "trust"
@@ -30,12 +31,6 @@ FAULT_FREE, MISTAKEN = 0.45, 0.1  # shares of all insertions; the rest have a fa
 KINDS: tuple[Kind, ...] = ("dark", "frozen", "stuck", "dropped")
 BLIND: tuple[tuple[Finger, ...], ...] = (("left",), ("right",), FINGERS)
 CONTACT_MM, DEEPEST_MM = 6.0, 24.0  # half of the faults begin before most objects touch, half on the way to full depth
-MISTAKES: Mapping[str, Mapping[str, Any]] = {
-    "cameras swapped": {"swapped_fingers": True},
-    "left camera mirrored": {"mirrored": [True, False]},
-    "arm moves x the other way": {"x_sign": -1},
-    "arm turns the other way": {"yaw_sign": -1},
-}
 WITHOUT = "no fault"
 
 
@@ -71,7 +66,7 @@ def tasks(
         if isinstance(given, Fault):
             job["fault"] = asdict(given) | {"fingers": list(given.fingers)}
         else:
-            job["unstated"] |= given
+            job["unstated"] = world.unstated.model_copy(update=given).model_dump(mode="json", exclude_defaults=True)
         todo.append(Task(models, job))
     return todo
 

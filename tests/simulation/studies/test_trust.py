@@ -69,7 +69,7 @@ def test_frames_that_freeze_leave_no_more_travel_than_the_lease_allows_at_any_ra
 def test_the_draw_is_the_same_for_the_same_seed_and_holds_every_kind(tmp_path):
     worlds = [drawn.world(tables, str(number)) for number, tables in enumerate(drawn.draw_worlds(5, 2))]
     objects = load_objects(["circle", "can"])
-    first, again = (trust.tasks(worlds, objects, 200, 4, tmp_path, {}) for _ in range(2))
+    first, again = (trust.tasks(worlds, objects, 400, 4, tmp_path, {}) for _ in range(2))
     assert first == again
     kinds = {task.job["fault"]["kind"] for task in first if "fault" in task.job}
     assert kinds == set(trust.KINDS)
