@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 
 from robot_client.cli.insert import make_plan, with_commissioning
 from robot_client.cli.terminal import Outcome, show
@@ -129,4 +129,15 @@ async def _service(settings: Settings) -> list[Finding]:
         Finding(True, f"protocol {hello.protocol}, controller {hello.controller}"),
         *(Finding(True, f"model {entry.card.name} {entry.sha256[:12]}") for entry in hello.models),
         *(Finding(camera.state == "live", f"camera {camera.finger} {camera.state}") for camera in hello.cameras),
+        examine_cameras(settings, hello.cameras),
     ]
+
+
+def examine_cameras(settings: Settings, cameras: Sequence[wire.CameraEntry]) -> Finding:
+    """Whether an insertion would begin with these cameras and gels."""
+    asked = settings.commissioning is not None
+    try:
+        with_commissioning(settings, make_plan(settings, 0.0, 0.0, "check", None), asked=asked).check_cameras(cameras)
+    except ValueError as error:
+        return Finding(False, str(error))
+    return Finding(True, "cameras fast enough" + (", gels as commissioned" if asked else ""))

@@ -97,7 +97,7 @@ def _area(name: str, finding: Finding) -> str:
         and any(word in text for word in ("connect", "timeout", "no answer", "refused", "unreach"))
     ):
         return "network"
-    if name == "service" and "camera" in text:
+    if name == "service" and ("camera" in text or " gel is" in text):
         return "camera"
     return AREAS.get(name, name)
 

@@ -41,6 +41,7 @@ REMEDIES: tuple[tuple[str, str], ...] = (
         "It takes one client at a time: end the other one; check host and port.",
     ),
     (r"gripper: cannot connect", "Check [gripper] host and port, its power, and the cable."),
+    (r"gel is not the one", "Put the old gel back, or calibrate and commission with the new one."),
     (r"camera (left|right)", "Check cable and power of that finger; covering the lens shows which it is."),
     (r"no token|token_file", "Give the file that the service names at its start: service.token_file."),
     (r"(Name or service|resolve|not known|getaddrinfo)", "That name is unknown here: give the address."),

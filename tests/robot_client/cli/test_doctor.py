@@ -34,8 +34,9 @@ def with_(cell, **tables):
     cell.settings = load_settings(None, _merged(_merged({**plain, **devices}, SOON), tables))
 
 
-def cameras(cell, left="live", right="live"):
-    entries = [wire.CameraEntry(finger=f, source="x", state=s) for f, s in (("left", left), ("right", right))]
+def cameras(cell, left="live", right="live", rate_hz=None):
+    states = (("left", left), ("right", right))
+    entries = [wire.CameraEntry(finger=f, source="x", state=s, frame_rate_hz=rate_hz) for f, s in states]
     cell.service.hello = lambda **_: wire.ServiceHello(
         insertion_id="check", models=(), cameras=tuple(entries), controller="belief", limits=cell.service_limits
     )
@@ -131,6 +132,7 @@ FAULTS = {
     "left camera lost": (lambda cell: cameras(cell, left="lost"), "camera", "cable"),
     "right camera stalled": (lambda cell: cameras(cell, right="stalled"), "camera", "cable"),
     "camera never came up": (lambda cell: cameras(cell, left="starting"), "camera", "cable"),
+    "cameras too slow for the descent": (lambda cell: cameras(cell, rate_hz=3.0), "camera", "ramp"),
     "no token": (forget_token, "service", "token_file"),
     "another service's token": (refused_token, "service", "token_file"),
     "no service there": (

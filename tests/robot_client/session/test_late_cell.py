@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from robot_client.cli.check import findings_of
+from robot_client.cli.check import examine_cameras, findings_of
 from robot_client.cli.insert import with_commissioning
 from robot_client.insertion.lease import PAUSE_S, Lease
 from robot_client.insertion.limits import LimitError
@@ -54,6 +54,18 @@ async def test_check_tells_how_late_the_cell_is_and_refuses_one_that_is_too_late
     (finding,) = [finding async for name, finding in findings_of(real) if name == "cell"]
     assert finding.good == good
     assert says in finding.text
+
+
+@pytest.mark.parametrize(("gel", "good"), [("a", True), ("z", False), ("", False)])
+def test_check_refuses_a_gel_with_which_the_cell_was_not_commissioned(tmp_path, gel, good):
+    path = tmp_path / "commissioning.json"
+    gels = {"left": "a", "right": "b"}
+    keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), gels=gels))
+    cameras = [wire.CameraEntry(finger=f, source="s", state="live", gel=gel if f == "left" else "b") for f in gels]
+    finding = examine_cameras(Settings(commissioning=path, lease=Lease(stop_lag_s=0.04)), cameras)
+    assert finding.good is good
+    assert good or "the left gel is not the one" in finding.text
+    assert examine_cameras(Settings(), cameras).good, "nothing to compare with"
 
 
 def test_a_lateness_that_uses_up_the_lease_is_refused_with_the_speed_that_would_do():
