@@ -34,7 +34,7 @@ def motion_bounds(arguments: list[str]) -> int:
     def break_all() -> int:
         rows = measure(options, lambda line: print(line, flush=True))
         broken = [row for row in rows if not row["held"]]
-        if not options.only:
+        if not (options.only or options.client):
             data = {"rows": rows}
             print(publish(options.out, bounds_report.NAME, bounds_report.bounds_page(data), data))
         for row in broken:

@@ -24,6 +24,10 @@ class BoundsOptions:
     """folder with the networks"""
     only: str = ""
     """measure only faults whose name contains this, and write no page"""
+    client: Path | None = None
+    """tables that override the cell's client configuration, such as a quicker descent; writes no page"""
+    fps: int | None = None
+    """camera rate, of which a quicker descent needs more; the sensor's if left out"""
 
 
 def cases(only: str = "") -> list[tuple[Fault, Phase]]:
@@ -33,11 +37,12 @@ def cases(only: str = "") -> list[tuple[Fault, Phase]]:
 def measure(options: BoundsOptions, tell: Callable[[str], None]) -> list[dict[str, Any]]:
     """All rows, in the order of the cases; raises ChildError if a cell cannot be started."""
     asked, log = cases(options.only), options.runs / "rows.jsonl"
+    run = RunOptions(models=options.models, client=options.client, fps=options.fps)
     with added_rows(log) as add:
         done = {(row["fault"], row["phase"]): row for row in read_rows(log)}
         for fault, phase in asked:
             if (fault.name, phase) not in done:
-                row = done[fault.name, phase] = row_of(fault, phase, RunOptions(models=options.models), options.runs)
+                row = done[fault.name, phase] = row_of(fault, phase, run, options.runs)
                 add(row)
                 tell(f"{row['fault']}, {phase}: {row['travel_mm']:.2f} mm, {row['force_n']:.1f} N, {row['ended']}")
     return [done[fault.name, phase] for fault, phase in asked]

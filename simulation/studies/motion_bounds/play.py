@@ -10,12 +10,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from robot_client.insertion.lease import SLOW_MM
 from simulation.cell.children import Child, ChildError
 from simulation.cell.run import RunOptions, Start, loop
 from simulation.studies.motion_bounds.faults import BOTH, Bench, Fault, Phase, ask
 from simulation.studies.motion_bounds.relay import Relay
 
-BOUND_MM, MOST_N = 1.5, 25.0
+MOST_N = 25.0
 AIR_MM = 1.5  # below the approach pose
 END_S, SETTLE_S, STOP_S = 60.0, 0.4, 0.3
 POLL_S = 0.004
@@ -33,6 +34,7 @@ class Row:
     """``travel_mm`` after the capture of the last judged picture that showed the present; heights are the TCP's.
 
     ``moved_mm``: the largest motion after the arm had come to rest for good. ``injected``: whether the phase occurred.
+    ``bound_mm``: what the client's lease allows.
     """
 
     fault: str
@@ -45,12 +47,13 @@ class Row:
     inserted: bool
     hung: bool
     tracebacks: int
+    bound_mm: float = SLOW_MM
 
     @property
     def held(self) -> bool:
         """Whether all guarantees held."""
         calm = not self.hung and not self.tracebacks and self.moved_mm <= MOVED_MM
-        return calm and self.force_n <= MOST_N and self.travel_mm <= BOUND_MM
+        return calm and self.force_n <= MOST_N and self.travel_mm <= self.bound_mm
 
 
 def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
@@ -87,6 +90,7 @@ def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
         inserted=bool(end.get("inserted")),
         hung=hung,
         tracebacks=sum("Traceback" in log.read_text(errors="replace") for log in logs),
+        bound_mm=options.chosen().get("lease", {}).get("travel_mm", SLOW_MM),
     )
 
 

@@ -4,7 +4,8 @@ from typing import Any
 
 from reporting.page import page
 from reporting.table import table
-from simulation.studies.motion_bounds.play import BOUND_MM, MOST_N
+from robot_client.insertion.lease import SLOW_MM
+from simulation.studies.motion_bounds.play import MOST_N
 
 NAME = "motion_bounds"
 Rows = list[dict[str, Any]]
@@ -19,7 +20,7 @@ def bounds_page(data: dict[str, Any]) -> str:
         # How far the arm moves once nobody watches, simulated
 
         The worst of {len(rows)} faults is *{worst["fault"]}, {worst["phase"]}*: the arm travelled
-        {worst["travel_mm"]:.2f} mm after the capture of the last judged frame. The limit is {BOUND_MM:g} mm. Some
+        {worst["travel_mm"]:.2f} mm after the capture of the last judged frame. The limit is {SLOW_MM:g} mm. Some
         faults of cameras, worse than those tried here, [are not bounded](#what-it-cannot-bound).
 
         The largest force was {max(row["force_n"] for row in rows):.1f} N; the limit is {MOST_N:g} N. After a hold,
