@@ -14,7 +14,7 @@ from service.contract.wire import Cause, Doubt, DoubtReason
 from service.decision.attempt import Attempt
 from service.decision.held_tilt import UNSEEN, HeldTilt, Touch
 from service.decision.seating import Push, seating_evidence, strongest_push
-from service.perception.observation import WEIGHED_SHARE, Observation, PairObservation
+from service.perception.observation import Observation, PairObservation
 from service.perception.turning import turned_going_in
 
 Doubts = tuple[Doubt, ...]
@@ -26,6 +26,7 @@ BLIND_MM = 2.5  # or the travel in which a slow arm may take longer
 SLID_MM = 0.8  # beyond this slide of the object, nothing shows how far it turned
 LATE_S = 0.075  # possible delay of pictures: the object slides as the arm turns it before a picture shows it
 ALL_LATE_MM = 0.95  # travel within that delay in all attempts with a grasp, added in squares
+WEIGHED_SHARE = 0.5  # share of the gel's bulge under an object felt by weight alone; below it the object is lost
 PRESSED_MM = 5.0  # beyond this press, a gel does not reliably bring its object back
 
 

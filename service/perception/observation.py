@@ -11,8 +11,6 @@ from service.perception.markers.field import MarkerField
 from service.perception.slip.detector import SlipState
 from service.perception.slip.imprint import ImprintChange
 
-WEIGHED_SHARE = 0.5  # share of the gel's bulge under an object felt by weight alone; below it the object is lost
-
 
 @dataclass(frozen=True, slots=True)
 class Observation:

@@ -7,7 +7,8 @@ import numpy as np
 from service.contract import FINGERS, Finger, FramePair, TactileFrame
 from service.contract.wire import Doubt
 from service.decision.attempt import Attempt
-from service.perception.observation import WEIGHED_SHARE, FingerWatch, Observation, PairObservation
+from service.decision.claim import WEIGHED_SHARE
+from service.perception.observation import FingerWatch, Observation, PairObservation
 from service.perception.slip.phases import Grasp
 from service.perception.slip.slide import SlideWitness
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.contract.wire import Limits
-from service.decision.belief import USUAL, _peaks, stated
+from service.decision.belief import USUAL, BeliefGrid, _peaks, stated
 from service.decision.controllers import Belief, Heuristic, axis_command, make_controller
 from service.decision.evidence import Density, Evidence
 from tests.service.decision.toy_loop import LIMITS, evidence, mean_trials
@@ -54,6 +54,14 @@ def test_no_command_exceeds_the_limits(x: float, theta: float, name: str, seed: 
         command = controller.decide(evidence(x, theta, rng, (2.0, 3.0)), attempt)
         assert abs(command.dx_mm) <= TIGHT.max_dx_mm
         assert abs(command.dtheta_deg) <= TIGHT.max_dtheta_deg
+
+
+def test_a_belief_is_a_probability_before_and_after_evidence() -> None:
+    grid = BeliefGrid()
+    assert grid.probability.sum() == pytest.approx(1.0)
+    assert 0.5 < grid.trust < 1.0
+    grid.absorb_failure()
+    assert grid.probability.sum() == pytest.approx(1.0)
 
 
 def test_a_belief_aims_at_what_sharp_evidence_says() -> None:

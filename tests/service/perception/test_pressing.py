@@ -121,7 +121,9 @@ def test_an_arm_that_slows_or_pauses_goes_less_far() -> None:
     arm = legs((0, 10.0), (1_000_000_000, 5.0))
     assert (arm.speed_mm_s(999_999_999), arm.speed_mm_s(1_000_000_000)) == (10.0, 5.0)
     assert arm.travel_mm(500_000_000, 2_000_000_000) == pytest.approx(5.0 + 5.0)
+    assert arm.paused_ns is None
     arm.pauses(3_000_000_000, 0.4)
+    assert arm.paused_ns == 3_000_000_000
     assert arm.travel_mm(2_000_000_000, 4_000_000_000) == pytest.approx(0.6 * 5.0 + 5.0)
 
 

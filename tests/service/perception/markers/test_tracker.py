@@ -251,27 +251,24 @@ def test_a_frame_of_another_size_or_type_is_refused():
         tracker.update(np.zeros((320, 327, 3), np.float32), 1)  # type: ignore[arg-type]
 
 
-def borderless(way):
-    """Pictures of a grid wider than they are, shifted by these shares of a pitch."""
-    rng, step = np.random.default_rng(4), np.array([15.0, 0.0])
-    wide = grid(jitter=0.0)
-    wide = np.concatenate(
-        [wide[:, :1] - 2 * step, wide[:, :1] - step, wide, wide[:, -1:] + step, wide[:, -1:] + 2 * step], 1
-    )
-    return [draw(wide + shift * step, rng) for shift in way]
+def borderless(way, towards=(1.0, 0.0)):
+    """Pictures of a grid larger than they are, shifted by these shares of a pitch."""
+    rng, wide = np.random.default_rng(4), grid(24, 25, jitter=0.0)
+    return [draw(wide + 15.0 * shift * np.array(towards), rng) for shift in way]
 
 
-def test_a_jump_that_may_be_a_whole_pitch_is_said_to_be_ambiguous_and_forgotten():
+@pytest.mark.parametrize("towards", [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+def test_a_jump_that_may_be_a_whole_pitch_is_said_to_be_ambiguous_and_forgotten(towards):
     """A grid that fills the picture has no border: one step more or less looks the same."""
     way = [0, 0.3, 0.55, 0.9, 0.3, 0.0, 0.0]
-    fields = follow(MarkerTracker(), borderless(way))
+    fields = follow(MarkerTracker(), borderless(way, towards))
     unsure = [field for field in fields if field.status == "ambiguous"]
     assert unsure
     assert not any(field.usable or field.valid.any() for field in unsure)
     for field, shift in zip(fields[5:], way[5:], strict=True):
         assert field.usable
         moved = np.median(field.displacement_px[field.valid], 0) / 15
-        assert abs(moved - [shift, 0]).max() < 0.1, "the grid has not slid by a step"
+        assert abs(moved - shift * np.array(towards)).max() < 0.1, "the grid has not slid by a step"
 
 
 def torn_once(up_px):
