@@ -10,6 +10,7 @@ from service.perception.markers.detect import Candidates, MarkerDetector
 from service.perception.markers.field import BoolArray, FloatArray
 
 _STEPS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (column, row)
+_SIGNS = np.array([[1.0], [-1.0]], np.float32)
 _LINK = 0.33  # a neighbour lies within this share of a pitch from the place predicted by the last step
 _AROUND = 12  # nearest spots among which a spot's neighbours in the grid are sought
 _LEAST_PX = 32
@@ -36,15 +37,18 @@ class Lattice:
 
 
 def flood(
-    points: FloatArray, basis: FloatArray, seeds: NDArray[np.intp], cells: NDArray[np.intp]
+    points: FloatArray,
+    near: NDArray[np.intp],
+    basis: FloatArray,
+    seeds: NDArray[np.intp],
+    cells: NDArray[np.intp],
 ) -> tuple[NDArray[np.intp], BoolArray]:
     """Grid index (column, row) int [n, 2] of every point reachable by lattice steps, and which points are.
 
-    It begins at the points ``seeds`` [m], whose index is ``cells`` [m, 2]. ``basis`` [2, 2] starts the local basis,
-    which then follows the grid's deformation from node to node.
+    It begins at the points ``seeds`` [m], whose index is ``cells`` [m, 2]; ``near`` are the points' `neighbours`.
+    ``basis`` [2, 2] starts the local basis, which then follows the grid's deformation from node to node.
     """
     count = len(points)
-    near = _neighbours(points)
     index = np.zeros((count, 2), np.intp)
     reached = np.zeros(count, np.bool_)
     local = np.repeat(basis[None].astype(np.float32), count, 0)
@@ -52,13 +56,12 @@ def flood(
     reached[seeds], index[seeds] = True, cells
     wave = seeds
     while wave.size:
-        step = np.einsum("sa,nax->nsx", _STEPS.astype(np.float32), local[wave])
+        step = (local[wave][:, :, None] * _SIGNS).reshape(-1, len(_STEPS), 2)
         off = (points[wave][:, None] + step)[:, :, None] - points[near[wave]][:, None]
         squared = off[..., 0] ** 2 + off[..., 1] ** 2
-        which = squared.argmin(-1)
-        nearest = np.take_along_axis(near[wave], which, 1).reshape(-1)
-        distance = np.take_along_axis(squared, which[..., None], 2).reshape(-1)
-        reach = _LINK**2 * (step[..., 0] ** 2 + step[..., 1] ** 2).reshape(-1)
+        nearest = near[wave[:, None], squared.argmin(-1)].ravel()
+        distance = squared.min(-1).ravel()
+        reach = _LINK**2 * (step[..., 0] ** 2 + step[..., 1] ** 2).ravel()
         hits = np.flatnonzero((distance < reach) & ~reached[nearest])
         hits = hits[np.argsort(distance[hits])]
         hits = hits[_unclaimed(nearest[hits], index[wave[hits // 4]] + _STEPS[hits % 4], taken)]
@@ -81,7 +84,7 @@ def _unclaimed(points: NDArray[np.intp], cells: NDArray[np.intp], taken: set[tup
     return chosen
 
 
-def _neighbours(points: FloatArray) -> NDArray[np.intp]:
+def neighbours(points: FloatArray) -> NDArray[np.intp]:
     """Indices [n, up to 12] of the spots around each: the grid's four neighbours are among them."""
     apart = (points[:, None, 0] - points[None, :, 0]) ** 2 + (points[:, None, 1] - points[None, :, 1]) ** 2
     np.fill_diagonal(apart, np.inf)
@@ -119,15 +122,20 @@ def lattice_basis(points: FloatArray, like: FloatArray | None = None) -> FloatAr
 def find_lattice(image: NDArray[np.uint8]) -> Lattice | None:
     """The marker grid of a frame at the best-fitting scale, or None if there is none of at least 5 x 5.
 
-    The grid's columns must run within 40 deg of the image's, which must be at least 32 px wide and high. Takes about 40
-    ms; run it once per recording.
+    The grid's columns must run within 40 deg of the image's, which must be at least 32 px wide and high. Takes about 20
+    ms; run it once per recording. Linking the spots takes longest, so the most promising scale comes first.
     """
-    best: Lattice | None = None
-    for diameter in DIAMETERS_PX if min(image.shape[:2]) >= _LEAST_PX else ():
-        shrink = max(1, int(diameter / 6))
-        detected = _at_scale(image, diameter, shrink)
-        if detected is not None and (best is None or _merit(detected) > _merit(best)):
-            best = detected
+    best, merit = None, 0.0
+    scales = DIAMETERS_PX if min(image.shape[:2]) >= _LEAST_PX else ()
+    spots_at = {diameter: _spots(image, diameter, max(1, int(diameter / 6))) for diameter in scales}
+    for diameter in sorted(spots_at, key=lambda one: _most_merit(spots_at[one], one), reverse=True):
+        spots = spots_at[diameter]
+        if _most_merit(spots, diameter) <= merit:
+            break
+        basis = lattice_basis(spots.xy_px)
+        detected = None if basis is None else assemble(spots, basis, diameter)
+        if detected is not None and _merit(detected) > merit:
+            best, merit = detected, _merit(detected)
     return best
 
 
@@ -136,17 +144,20 @@ def _merit(lattice: Lattice) -> float:
     return float(lattice.detected.sum()) * lattice.strength * lattice.diameter_px
 
 
-def _at_scale(image: NDArray[np.uint8], diameter: float, shrink: int) -> Lattice | None:
+def _most_merit(spots: Candidates, diameter: float) -> float:
+    """The merit of no grid of these spots exceeds this: n of them have at most the median of the n strongest."""
+    n = np.arange(1, len(spots.strength) + 1)
+    return float((n * spots.strength[(n - 1) // 2].astype(np.float64)).max(initial=0.0)) * diameter
+
+
+def _spots(image: NDArray[np.uint8], diameter: float, shrink: int) -> Candidates:
+    """The strong spots of this scale, strongest first; none unless they lie about as far apart as such markers do."""
     spots = _strong(MarkerDetector(diameter, 2.6 * diameter, shrink).detect(image, 2.0))
     basis = lattice_basis(spots.xy_px)
-    if basis is None:
-        return None
-    pitch = float(np.linalg.norm(basis, axis=1).mean())
+    pitch = 0.0 if basis is None else float(np.linalg.norm(basis, axis=1).mean())
     if not 1.4 * diameter < pitch < 8 * diameter:
-        return None
-    spots = _strong(MarkerDetector(diameter, pitch, shrink).detect(image, 2.0))
-    basis = lattice_basis(spots.xy_px)
-    return None if basis is None else assemble(spots, basis, diameter)
+        return spots.only(np.zeros(0, np.intp))
+    return _strong(MarkerDetector(diameter, pitch, shrink).detect(image, 2.0))
 
 
 def _strong(spots: Candidates) -> Candidates:
@@ -161,9 +172,9 @@ def _strong(spots: Candidates) -> Candidates:
 def assemble(spots: Candidates, basis: FloatArray, diameter_px: float) -> Lattice | None:
     """The largest grid among the candidates, or None below 5 x 5 nodes or 60 % filled."""
     best: tuple[NDArray[np.intp], BoolArray] | None = None
-    middle = np.median(spots.xy_px, axis=0)
+    middle, near = np.median(spots.xy_px, axis=0), neighbours(spots.xy_px)
     for seed in np.argsort(np.square(spots.xy_px - middle).sum(1))[:40:8].tolist():
-        index, reached = flood(spots.xy_px, basis, np.array([seed]), np.zeros((1, 2), np.intp))
+        index, reached = flood(spots.xy_px, near, basis, np.array([seed]), np.zeros((1, 2), np.intp))
         if best is None or reached.sum() > best[1].sum():
             best = (index, reached)
         if best[1].mean() > 0.7:

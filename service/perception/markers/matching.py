@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.perception.markers.field import BoolArray, FloatArray, neighbour_mean, neighbour_median
-from service.perception.markers.lattice import fill_gaps, flood, lattice_basis
+from service.perception.markers.lattice import fill_gaps, flood, lattice_basis, neighbours
 
 _SEARCH = 0.46  # pitch; a node's spot lies within this of its prediction
 _TEAR = 0.5  # pitch; a node that deviates this much from its neighbours is a wrong match
@@ -177,14 +177,15 @@ def reindex(
         rival = score_match(spot, rest, points, pitch, view, previous)
         return rival.misfit + _motion(rival, previous, pitch), rival
 
-    grown = place(_grown(points, basis, previous, prior, pitch))[1]
+    near = neighbours(points)
+    grown = place(_grown(points, near, basis, previous, prior, pitch))[1]
     bridged = place(nearest_spot(_bridged(grown, previous), points, _SEARCH * pitch))
     best_score, best = min((prior.misfit + _motion(prior, previous, pitch), prior), bridged, key=itemgetter(0))
     seed = int(np.square(points - previous.reshape(-1, 2).mean(0)).sum(1).argmin())
     # The grid cell of the seed under least motion; placements up to two steps off compete with it. Where none of them
     # fits a grid that is almost complete, it has jumped by three.
     row_col = divmod(int(np.square(previous.reshape(-1, 2) - points[seed]).sum(-1).argmin()), rest.shape[1])
-    index, reached = flood(points, basis, np.array([seed]), np.array([row_col[::-1]]))
+    index, reached = flood(points, near, basis, np.array([seed]), np.array([row_col[::-1]]))
     spot_of = np.flatnonzero(reached)
     for steps in (_NEAR, _FAR):
         if best.misfit < calm or reached.sum() < _LEAST_N:
@@ -206,14 +207,21 @@ def reindex(
     return full if full.valid.sum() > best.valid.sum() else best
 
 
-def _grown(points: FloatArray, basis: FloatArray, previous: FloatArray, prior: Match, pitch: float) -> NDArray[np.intp]:
+def _grown(
+    points: FloatArray,
+    near: NDArray[np.intp],
+    basis: FloatArray,
+    previous: FloatArray,
+    prior: Match,
+    pitch: float,
+) -> NDArray[np.intp]:
     """Spots of the nodes [rows, cols], -1 elsewhere, linked from the nodes that stand still and whose neighbours do.
 
     So a bulge is entered from all sides, and no row is lost where the gel is stretched.
     """
     still = prior.valid & (_squared(prior.xy_px - previous) < (_AT_HOME * pitch) ** 2)
     firm = cv2.erode(still.astype(np.uint8), _WINDOW) > 0
-    index, reached = flood(points, basis, prior.spot[firm], np.argwhere(firm)[:, ::-1])
+    index, reached = flood(points, near, basis, prior.spot[firm], np.argwhere(firm)[:, ::-1])
     return _placed(index[reached], np.flatnonzero(reached), prior.valid.shape)
 
 

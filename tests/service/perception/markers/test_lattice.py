@@ -6,7 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.perception.markers.detect import Candidates
-from service.perception.markers.lattice import assemble, fill_gaps, find_lattice, flood, lattice_basis
+from service.perception.markers.lattice import (
+    DIAMETERS_PX,
+    assemble,
+    fill_gaps,
+    find_lattice,
+    flood,
+    lattice_basis,
+    neighbours,
+)
 from tests.service.perception.synthetic import draw, grid, twist
 
 PITCH = 15.0
@@ -42,7 +50,7 @@ def test_a_flood_follows_a_grid_that_turns_and_widens_from_end_to_end() -> None:
     points = bent.reshape(-1, 2)[order].astype(np.float32)
     seed = int(np.flatnonzero(order == 0)[0])
     basis = np.stack([bent[0, 1] - bent[0, 0], bent[1, 0] - bent[0, 0]]).astype(np.float32)
-    index, reached = flood(points, basis, np.array([seed]), np.array([[0, 0]]))
+    index, reached = flood(points, neighbours(points), basis, np.array([seed]), np.array([[0, 0]]))
     assert reached.all()
     assert np.array_equal(index, np.stack([order % 21, order // 21], 1))
 
@@ -98,3 +106,20 @@ def test_with_few_markers_gaps_are_filled_as_a_plane_goes_on() -> None:
     small = grid(6, 6, PITCH, 100, 100, jitter=0.0).astype(np.float32)
     filled, _ = fill_gaps(np.where(detected[..., None], small, 0.0).astype(np.float32), detected)
     assert filled == pytest.approx(small, abs=1e-3)
+
+
+@pytest.mark.parametrize(("pitch", "diameter"), [(15.0, 5.0), (24.0, 9.0), (34.0, 14.0)])
+def test_the_grid_is_that_of_the_best_scale_although_not_every_scale_is_linked(
+    pitch: float, diameter: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows, columns = int(320 / pitch) - 1, int(327 / pitch) - 1
+    image = draw(grid(rows, columns, pitch), np.random.default_rng(3), diameter=diameter)
+    chosen = find_lattice(image)
+    alone = []
+    for scale in DIAMETERS_PX:
+        monkeypatch.setattr("service.perception.markers.lattice.DIAMETERS_PX", (scale,))
+        alone.append(find_lattice(image))
+    best = max((one for one in alone if one), key=lambda one: one.detected.sum() * one.strength * one.diameter_px)
+    assert chosen is not None
+    assert chosen.diameter_px == best.diameter_px
+    assert np.array_equal(chosen.xy_px, best.xy_px)
