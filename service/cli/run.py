@@ -17,7 +17,7 @@ from service.observability.log_lines import LogLines
 from service.session.memory import stop_searching_what_stays, use_few_arenas
 from service.session.station import open_station
 from service.settings import Settings, read_settings
-from service.web.app import create_app
+from service.web.app import create_app, warm
 from service.web.server import bind, check_certificate, open_many_files, web_server
 
 SWITCH_S = 0.0005  # a thread waits ten times less for the interpreter than by default
@@ -94,6 +94,7 @@ def main(arguments: Sequence[str]) -> int:
         try:
             station.wait_for_cameras(settings.camera_wait_s)
             app = create_app(station)
+            warm(app)
             server = web_server(app, settings)
             stop_searching_what_stays()
             scheme = "https" if settings.tls_certificate else "http"

@@ -11,7 +11,7 @@ from fastapi import APIRouter
 from service import __version__
 from service.contract import wire
 from service.web import asyncapi
-from service.web.app import create_app
+from service.web.app import create_app, warm
 from tests.service.conftest import LiveService
 
 DOCUMENT = json.loads(json.dumps(asyncapi.document(__version__)))
@@ -86,3 +86,13 @@ def test_the_service_serves_it_and_asks_for_the_same_token_as_over_http(live: Li
     assert httpx.get(live.url("/v1/asyncapi.json")).json() == DOCUMENT
     schemes = httpx.get(live.url("/openapi.json")).json()["components"]["securitySchemes"]
     assert DOCUMENT["servers"]["cell"]["security"] == [schemes["token"]]
+
+
+def test_no_request_waits_for_a_description_to_be_made(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
+    app = create_app(live.station)
+    asyncapi.document.cache_clear()
+    warm(app)
+    monkeypatch.setattr("fastapi.applications.get_openapi", None)
+    monkeypatch.setattr(asyncapi, "models_json_schema", None)
+    assert app.openapi()["paths"]
+    assert asyncapi.document(__version__) == DOCUMENT
