@@ -175,7 +175,7 @@ class InsertionSession:
         return self.attempt is not None and self.attempt.stage is Stage.ARMED and not self.attempt.slip_sent
 
     def prime(self, frame: TactileFrame) -> None:
-        """Let a finger's tracker find its grid before time matters: the search takes some 0.2 s, tracking 2 ms."""
+        """Let a finger's tracker find its grid before time matters: the search takes some 20 ms, tracking 2 ms."""
         self._fingers.watch(frame.finger).observe(frame)
 
     def on_frame(self, frame: TactileFrame, now_ns: int) -> Replies:
