@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.perception.markers.detect import Candidates, MarkerDetector
-from service.perception.markers.field import BoolArray, FloatArray
+from service.perception.markers.field import BoolArray, FloatArray, median
 
 _STEPS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (column, row)
 _SIGNS = np.array([[1.0], [-1.0]], np.float32)
@@ -98,11 +98,11 @@ def lattice_basis(points: FloatArray, like: FloatArray | None = None) -> FloatAr
     """
     if len(points) < 9:
         return None
-    apart_u, apart_v = (points[None, :, axis] - points[:, None, axis] for axis in (0, 1))
+    apart_u, apart_v = (np.subtract.outer(along, along) for along in np.ascontiguousarray(points.T))
     length = np.sqrt(apart_u * apart_u + apart_v * apart_v)
     np.fill_diagonal(length, np.inf)
     steps = points[length.argmin(1)] - points
-    pitch = float(np.median(np.linalg.norm(steps, axis=1)))
+    pitch = float(median(np.linalg.norm(steps, axis=1)))
     near = np.abs(length - pitch) < 0.45 * pitch
     around = np.stack([apart_u[near], apart_v[near]], 1)
     angle = np.arctan2(around[:, 1], around[:, 0])
@@ -115,7 +115,7 @@ def lattice_basis(points: FloatArray, like: FloatArray | None = None) -> FloatAr
         chosen = around[off < np.deg2rad(25)]
         if len(chosen) < 4:
             return None
-        basis.append(np.median(chosen, axis=0))
+        basis.append(median(chosen))
     return np.array(basis, np.float32)
 
 
