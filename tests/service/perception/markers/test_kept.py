@@ -1,6 +1,7 @@
 """The same pictures give the same marker fields as they did: no limit of the tracker moves unnoticed."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -76,6 +77,28 @@ def large() -> Pictures:
     return [draw(points, rng, 320, 240, 14.0) for points in turned]
 
 
+def disturbed(seed: int) -> Pictures:
+    """Twelve pictures that jump, turn, stretch, hide, dim and strew by chance, near what a tracker can still follow."""
+    rng, small = np.random.default_rng(seed), seed % 3 == 0
+    rest = grid(7, 9, 34.0, 320, 240, 0.8) if small else REST
+    size, diameter, pitch = ((320, 240), 13.0, 34.0) if small else ((327, 320), 5.0, 15.0)
+    images, place, turn_deg = [draw(rest, rng, *size, diameter)], np.zeros(2), 0.0
+    for _ in range(11):
+        place = place * rng.choice([0.0, 1.0, 1.0]) + pitch * rng.choice([0.05, 0.4, 1.0]) * rng.normal(0, 0.6, 2)
+        turn_deg = rng.choice([0.0, 1.0]) * turn_deg + rng.normal(0, 4.0)
+        points = twist(rest, turn_deg, tuple(np.array(size) / 2), place)
+        points += pitch * rng.choice([0.0, 0.04, 0.1]) * rng.normal(size=points.shape)
+        there = rng.random(points.shape[:2]) > rng.choice([0.0, 0.05, 0.4])
+        strewn = rng.uniform(0, size, (int(rng.choice([0, 4, 30])), 2))
+        faint = draw(strewn, rng, *size, diameter, contrast=float(rng.uniform(20, 90)), noise=0.0)
+        image = np.minimum(draw(points[there], rng, *size, diameter, noise=float(rng.choice([2.0, 8.0]))), faint)
+        hidden = rng.uniform(0, 0.45) * size[0]
+        if rng.random() < 0.3:
+            image[:, : int(hidden)] = 90
+        images.append((image * rng.choice([1.0, 1.0, 0.5, 0.15])).astype(np.uint8))
+    return images
+
+
 STORIES: dict[str, Callable[[], Pictures]] = {
     "turns and shifts": lambda: drawn(*(twist(REST, 2.0 * k, shift=(0.4 * k, -0.9 * k)) for k in range(6)), noise=5.0),
     "is carried away": carried_away,
@@ -87,6 +110,7 @@ STORIES: dict[str, Callable[[], Pictures]] = {
     "is large": large,
     "jumps by what may be a whole pitch": lambda: borderless([0, 0.3, 0.55, 0.9, 0.3, 0.0, 0.0]),
     "is torn once": lambda: torn_once(3.0),
+    **{f"is disturbed {seed}": partial(disturbed, seed) for seed in range(12)},
 }
 
 
@@ -102,5 +126,5 @@ def shown(field: MarkerField) -> dict[str, Any]:
 @pytest.mark.parametrize("name", STORIES)
 def test_a_grid_is_followed_as_it_was(name: str) -> None:
     tracker = MarkerTracker()
-    fields = [tracker.update(image, k * FRAME_NS) for k, image in enumerate(STORIES[name]())]
-    is_as_kept(__file__, name, [shown(field) for field in fields])
+    fields = [shown(tracker.update(image, k * FRAME_NS)) for k, image in enumerate(STORIES[name]())]
+    is_as_kept(__file__, name, {"fields": fields, "level": tracker._level, "strength": tracker._strength})
