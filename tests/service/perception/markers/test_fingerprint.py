@@ -1,10 +1,12 @@
 """A gel is known again by its print, whichever of its border rows are seen; another gel is not taken for it."""
 
+import base64
+
 import numpy as np
 import pytest
 
 from service.perception.markers.field import MarkerField
-from service.perception.markers.fingerprint import OTHER_GEL, TELLING_N, fingerprint_of, likeness
+from service.perception.markers.fingerprint import OTHER_GEL, TELLING_N, fingerprint, fingerprint_of, likeness
 from tests.service.perception.synthetic import grid
 
 ROWS, COLUMNS, PITCH_PX = 16, 18, 15.0
@@ -47,3 +49,15 @@ def test_a_picture_that_moved_by_a_row_shows_the_same_gel():
     alike = likeness(one, other)
     assert alike is not None
     assert alike > 0.98
+
+
+def test_a_fingerprint_holds_how_far_each_marker_is_off_the_grid_in_steps_of_five_thousandths_of_a_pitch():
+    off = np.zeros((5, 6, 2))
+    off[0, 1], off[2, 3], off[4, 5] = (0.1, -0.0524), (0.9, -0.9), (0.2, 0.2)
+    visible = np.ones((5, 6), bool)
+    visible[4, 5] = False
+    coded = np.frombuffer(base64.b64decode(fingerprint(off, visible)), np.int8)
+    grid = coded[2:].reshape(5, 6, 2)
+    assert coded[:2].tolist() == [5, 6]
+    assert (grid[0, 1].tolist(), grid[2, 3].tolist(), grid[4, 5].tolist()) == ([20, -10], [127, -127], [-128, -128])
+    assert not np.delete(grid.reshape(30, 2), [1, 15, 29], 0).any()

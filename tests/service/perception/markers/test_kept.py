@@ -1,6 +1,7 @@
 """The same pictures give the same marker fields as they did: no limit of the tracker moves unnoticed."""
 
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from service.perception.markers.field import MarkerField
-from service.perception.markers.tracker import MarkerTracker
+from service.perception.markers.tracker import MarkerTracker, TrackerSettings
 from tests.kept import is_as_kept
 from tests.service.perception.markers.test_tracker import borderless, shifted, torn_once
 from tests.service.perception.synthetic import FRAME_NS, draw, grid, twist
@@ -121,6 +122,10 @@ def shown(field: MarkerField) -> dict[str, Any]:
     figures_px = [*moved.mean(0), *moved.std(0), np.hypot(*moved.T).max(), *put.mean(0)]
     state = {"status": field.status, "reason": field.reason, "valid_n": int(field.valid.sum())}
     return state | {"px": [BESIDE_PX + float(figure) for figure in figures_px]}
+
+
+def test_what_ships_stays() -> None:
+    is_as_kept(__file__, "shipped", asdict(TrackerSettings()))
 
 
 @pytest.mark.parametrize("name", STORIES)

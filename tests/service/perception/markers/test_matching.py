@@ -124,6 +124,14 @@ def test_an_uneven_grid_is_linked_anew_only_where_more_than_a_third_of_a_row_is_
     assert bool(calls) is linked
 
 
+@pytest.mark.parametrize(("n", "why"), [(3, "3 markers in sight"), (4, "4 of 420 markers matched")])
+def test_a_grid_is_lost_with_few_markers_in_sight(n: int, why: str) -> None:
+    rng, tracker = np.random.default_rng(3), MarkerTracker()
+    tracker.update(draw(REST, rng), 0)
+    field = tracker.update(draw(REST[9, 8 : 8 + n], rng), 33_000_000)
+    assert (field.status, field.reason, field.valid.any()) == ("lost", why, False)
+
+
 def test_room_is_the_distance_to_the_nearest_border() -> None:
     places = np.array([[0.0, 50.0], [326.0, 319.0], [163.0, 10.0], [320.0, 160.0], [-4.0, 160.0]], np.float32)
     assert VIEW.room_px(places) == pytest.approx([0.0, 0.0, 10.0, 6.0, -4.0])

@@ -1,7 +1,7 @@
 """The same marker fields give the same states, scores and motions as they did: no fitted limit moves unnoticed."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.open_gel import OpenGel, shrunk
 from service.perception.slip.phases import Grasp
 from service.perception.slip.rigid import carried_px, fit_motion, moving_patch, refine
+from service.perception.slip.state import SlipSettings
 from tests.kept import is_as_kept
 from tests.service.perception.slip.test_detector import shaken, straight_slide
 from tests.service.perception.slip.test_grasp import renumbered
@@ -169,3 +170,7 @@ def test_phases_of_a_grasp_follow_the_same_touches_as_they_did() -> None:
         phase = grasp.update(touches, slips, slides=None if k % 5 else bool(k % 2))
         phases.append([phase, *(finger.phase for finger in grasp.fingers)])
     is_as_kept(__file__, "phases", phases)
+
+
+def test_what_ships_stays() -> None:
+    is_as_kept(__file__, "shipped", asdict(SlipSettings()))
