@@ -247,8 +247,9 @@ def test_a_frame_of_another_size_or_type_is_refused():
     tracker.update(draw(grid(), np.random.default_rng(9)), 0)
     with pytest.raises(ValueError, match=r"frame is \[100, 100, 3\], the tracker began with \[320, 327, 3\]"):
         tracker.update(np.zeros((100, 100, 3), np.uint8), 1)
-    with pytest.raises(ValueError, match="expected uint8"):
-        tracker.update(np.zeros((320, 327, 3), np.float32), 1)  # type: ignore[arg-type]
+    for image in (np.zeros((320, 327, 3), np.float32), np.zeros((320, 327, 4), np.uint8), np.zeros(9, np.uint8)):
+        with pytest.raises(ValueError, match="expected uint8"):
+            MarkerTracker().update(image, 1)
 
 
 def borderless(way, towards=(1.0, 0.0)):

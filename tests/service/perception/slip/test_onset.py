@@ -39,3 +39,11 @@ def test_frames_without_new_evidence_change_nothing():
     detector = OnsetDetector()
     detector.rearm(replace(some[0], status="lost"))
     assert [detector.update(one) for one in some] == [None] * len(some), "nothing to compare with"
+
+
+@pytest.mark.parametrize(("rest_n", "is_onset"), [(2, False), (3, True)])
+def test_three_frames_at_rest_show_how_little_counts(rest_n, is_onset):
+    """A motion between the smallest that counts and one and a half times that, in a gel without jitter."""
+    still = fields(99, 0.0, 0.0)
+    moved = replace(still[rest_n + 1], displacement_px=still[0].displacement_px + np.float32([0.0, 1.25 * 0.012 * 15]))
+    assert (onset([*still[: rest_n + 1], moved]) is not None) is is_onset
