@@ -67,12 +67,15 @@ def golden_markers(spec: MarkerSpec | Lattice, count: int, seed: int = 0) -> NDA
 def hard_markers(spec: MarkerSpec | Lattice, count: int) -> dict[str, NDArray[np.float32]]:
     """Fields that no tracker should give but one eventually will; each float32 [count, 2, rows, columns, 3]."""
     still = np.repeat(golden_markers(spec, 1), count, axis=0)
-    spark, torn = still.copy(), still.copy()
+    spark, torn, left = still.copy(), still.copy(), np.zeros_like(still)
+    left[1:, 0, spec.rows // 2, spec.columns // 2] = 1.0
+    left[0, 0, spec.rows // 2, spec.columns // 2, 2] = 1.0
     spark[1:, 0, spec.rows // 2, spec.columns // 2, 0] = 100.0
     torn[1::2, ..., :2] = 1e4
     return {
         "no difference": still,
         "single leaping marker": spark,
+        "one marker left": left,
         "nothing seen": np.zeros_like(still),
         "torn off and back in turn": torn,
         "denormals": still * np.float32(1e-40),

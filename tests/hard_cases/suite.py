@@ -15,6 +15,7 @@ from tests.hard_cases.rooms import (
     perception,
     physics,
     precision,
+    presses,
 )
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "perception",
     "physics",
     "precision",
+    "presses",
 ]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.onnx.golden import golden_input, hard_input
-from export.onnx.model import Arrays, Model, geometry_inputs, open_model
+from export.onnx.model import Arrays, Model, geometry_inputs, open_model, steps
 from export.onnx.verify import decide, run_steps
 from service.contract import ContractError
 from service.decision.evidence import DecisionRun, Refusal
@@ -17,10 +17,14 @@ from tests.hard_cases.registry import ROOT, Guard, case, non_finite, not_refused
 
 MARKERS = ("direction", "magnitude", "joint/joint")
 PICTURES = ("pictures/direction", "pictures/magnitude")
-NAMES = (*MARKERS, *PICTURES)
+STEPS = ("pressing/pair", "pressing/joint/joint")
+NAMES = (*MARKERS, *PICTURES, *STEPS)
 LARGEST = 1e4
-POOLED = "training.networks.preprocessing:block_sums"
-CHANGE = "training.networks.markers:MarkerNetwork._change"
+KINDS = {
+    PICTURES: ("picture", "training.networks.preprocessing:block_sums"),
+    MARKERS: ("markers", "training.networks.markers:MarkerNetwork._change"),
+    STEPS: ("steps", "training.networks.pressing:PressingNetwork.encode"),
+}
 
 
 @lru_cache
@@ -52,7 +56,7 @@ def _hard_case(name: str, why: str, networks: tuple[str, ...] = PICTURES) -> Non
             worst = max(worst, largest_of(decide(model, frames[None])))
         return worst
 
-    kind, guard = ("picture", POOLED) if networks == PICTURES else ("markers", CHANGE)
+    kind, guard = KINDS[networks]
     measure.__name__ = f"{kind}_{name.replace(' ', '_')}"
     case(
         "networks",
@@ -69,12 +73,14 @@ _hard_case("black", "no light at all: every contrast is 0")
 _hard_case("saturated", "every pixel is clipped at 255")
 _hard_case("black and white in turn", "the difference is the largest that uint8 holds, with either sign")
 _hard_case("noise", "nothing like a marker anywhere")
-_hard_case("no difference", "no marker moved: every displacement is exactly zero", MARKERS)
-_hard_case("single leaping marker", "one marker of 840, mistaken for another, leaps a hundred pixels", MARKERS)
-_hard_case("nothing seen", "every marker is lost, and a mean over those seen would divide by none", MARKERS)
-_hard_case("torn off and back in turn", "displacements of ten thousand pixels come and go", MARKERS)
-_hard_case("denormals", "displacements below 1e-38 have fewer digits", MARKERS)
-_hard_case("noise", "displacements of hundreds of pixels with no pattern", MARKERS)
+for _networks in (MARKERS, STEPS):
+    _hard_case("no difference", "no marker moved: every displacement is exactly zero", _networks)
+    _hard_case("single leaping marker", "one of hundreds, taken for another, leaps a hundred pixels or mm", _networks)
+    _hard_case("one marker left", "a mean and a spread over a single point, on one finger only", _networks)
+    _hard_case("nothing seen", "every marker is lost, and a mean over those seen would divide by none", _networks)
+    _hard_case("torn off and back in turn", "displacements of ten thousand come and go", _networks)
+    _hard_case("denormals", "displacements below 1e-38 have fewer digits", _networks)
+    _hard_case("noise", "displacements of hundreds with no pattern", _networks)
 
 
 @case(
@@ -106,15 +112,8 @@ def differences_of_minus_one(seed: int) -> float:
     quick=False,
 )
 def streams_of_ten_thousand_steps(seed: int) -> float:
-    name = NAMES[seed % len(NAMES)]
-    frames, model = golden(seed, name)[None], released(name)
-    state, worst = np.zeros((1, model.card.state_size), np.float32), 0.0
-    for step in range(10_000):
-        fed: Arrays = {"frame": frames[:, step % 8], "reference": frames[:, 0], "state": state}
-        outputs = model(fed | geometry_inputs(model.card, 1))
-        state = outputs["next_state"]
-        worst = max(worst, largest_of(outputs))
-    return worst
+    each = [steps(released(name), golden(seed, name)[None], 10_000) for name in NAMES[seed::3]]
+    return max(largest_of(outputs) for stream in each for outputs in stream)
 
 
 @case(
@@ -149,6 +148,7 @@ def states_that_are_no_numbers(seed: int) -> float:
             state[0, seed] = value
             fed: Arrays = {"frame": frames[:, 5], "reference": frames[:, 0], "state": state}
             outputs = model(fed | geometry_inputs(model.card, 1))
+            outputs.pop("strangeness", None)  # of the step alone
             decided += any(np.isfinite(output).all() for output in outputs.values())
     return float(decided)
 
@@ -183,12 +183,10 @@ def states_of_denormals(seed: int) -> float:
 def gap_widths_far_from_training(seed: int) -> float:
     worst = 0.0
     for name in NAMES:
-        frames, model = golden(seed, name)[None], released(name, "sequence")
+        frames, model = golden(seed, name)[None], released(name)
         for gap_mm in (5.0, 250.0):
-            worst = max(
-                worst,
-                largest_of(model({"frames": frames} | geometry_inputs(model.card, 1, gap_mm, min(gap_mm, 500.0)))),
-            )
+            cell = geometry_inputs(model.card, 1, gap_mm, gap_mm)
+            worst = max(worst, *map(largest_of, steps(model, frames, frames.shape[1], cell)))
     return worst
 
 
@@ -235,7 +233,7 @@ def threads_one_and_two(seed: int) -> float:
 )
 def steps_against_sequences(seed: int) -> float:
     worst = 0.0
-    for name in NAMES:
+    for name in (*MARKERS, *PICTURES):  # those that read steps of depth have the one form
         step, sequence = released(name), released(name, "sequence")
         inputs = [golden(seed, name), *hard_input(step.card).values()]
         worst = max(worst, *(_gap(decide(sequence, frames[None]), decide(step, frames[None])) for frames in inputs))
@@ -249,13 +247,16 @@ def steps_against_sequences(seed: int) -> float:
     guard=Guard("service.contract.model_card:ModelCard.check", "a pair of any shape passes", waved_through),
 )
 def frames_of_another_shape(seed: int) -> float:
-    models = load_models(ROOT / "models" / "pictures")
-    frames = golden(seed)
-    bad = [frames[0][:, :, :-1], frames[0].astype(np.float32), frames[0][:, :-1], frames[0][..., 0]]
-    calls = [lambda f=f: DecisionRun(models, frames[0], 56.0).step(f) for f in bad]
-    return not_refused(calls, ContractError, "reads uint8") + not_refused(
-        [DecisionRun(models, frames[0], 56.0).evidence], Refusal
-    )
+    missed = 0.0
+    for folder, reads in (("pictures", "uint8"), ("pressing", "float32"), ("pressing/joint", "float32")):
+        models = load_models(ROOT / "models" / folder)
+        pair = golden_input(models.card, seed)[0]
+        other = np.float32 if reads == "uint8" else np.uint8
+        bad = [pair[:, :, :-1], pair.astype(other), pair[:, :-1], pair[..., 0]]
+        calls = [lambda f=f, m=models, p=pair: DecisionRun(m, p, 56.0).step(f) for f in bad]
+        missed += not_refused(calls, ContractError, f"reads {reads}")
+        missed += not_refused([DecisionRun(models, pair, 56.0).evidence], Refusal)
+    return missed
 
 
 @case(
@@ -264,17 +265,19 @@ def frames_of_another_shape(seed: int) -> float:
     holds="a non-finite output is no decision: not refused, non-finite evidence",
     guard="service.decision.evidence:DecisionRun.evidence",
 )
-def outputs_that_are_no_numbers(seed: int) -> float:
-    models = load_models(ROOT / "models")
+def outputs_that_are_no_numbers(_seed: int) -> float:
     missed = 0.0
-    for bad in (np.nan, np.inf):
-        run = DecisionRun(models, golden(seed, "direction")[0], 56.0)
-        for frame in golden(seed, "direction"):
-            run.step(frame)
-        run._outputs[0] = {name: np.full_like(value, bad) for name, value in run._outputs[0].items()}
-        missed += not_refused([run.evidence], Refusal)
-    good = DecisionRun(models, golden(seed, "direction")[0], 56.0)
-    for frame in golden(seed, "direction"):
-        good.step(frame)
-    evidence = good.evidence()
-    return missed + non_finite(evidence.probabilities, evidence.error, evidence.sigma)
+    for folder in ("", "joint", "pictures", "pressing", "pressing/joint"):
+        models = load_models(ROOT / "models" / folder)
+        still = hard_input(models.card)["no difference"]
+        good, *damaged = [DecisionRun(models, still[0], 56.0) for _ in range(3)]
+        for run, bad in zip(damaged, (np.nan, np.inf), strict=True):
+            for pair in still:
+                run.step(pair)
+            run._outputs[0] = {name: np.full_like(value, bad) for name, value in run._outputs[0].items()}
+            missed += not_refused([run.evidence], Refusal, "non-finite")
+        for pair in still:
+            good.step(pair)
+        evidence = good.evidence()
+        missed += non_finite(evidence.probabilities, evidence.error, evidence.sigma)
+    return missed
