@@ -204,8 +204,8 @@ peers: $(VENV)/browser $(PEERS:=/ready) ## interoperability with other software,
 	  GRAPH_PYTHON="$(CURDIR)/$(GRAPH_VENV)/bin/python" KSERVE_PYTHON="$(CURDIR)/$(KSERVE_VENV)/bin/python" $(if $(LEROBOT),LEROBOT_PYTHON="$(CURDIR)/$(LEROBOT_VENV)/bin/python") \
 	  $(BIN)/python -m tests.peers
 
-bench-hostile: $(VENV)/ready ## effect of floods of pages, inference, bodies and connections on the robot: docs/hostile_load.json
-	$(BIN)/python -m tests.benchmarks.hostile --models $(MODELS)
+bench-hostile: $(VENV)/ready ## effect of floods of pages, inference, bodies and connections on the robot: docs/hostile_load.md, .json
+	$(BIN)/python -m tests.benchmarks.hostile
 
 soak: $(VENV)/ready ## MINUTES=30 of insertions with faulty clients, cameras, models and garbage: docs/soak.md, .json
 	$(BIN)/python -m tests.service.soak.soak --minutes $(MINUTES) --models $(MODELS)

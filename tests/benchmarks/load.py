@@ -19,6 +19,7 @@ from service.contract import FINGERS, wire
 from service.decision.models import load_models
 from service.session.station import Station
 from service.settings import Settings
+from tests.benchmarks.crowd import crowd
 from tests.service import drawn
 from tests.service.mjpeg import FakeFinger
 from tests.service.process import ServiceProcess, service_process
@@ -141,17 +142,13 @@ def _recorded_kb(service: ServiceProcess) -> float:
 
 def healthz_ms(models: Path, seconds: float) -> dict[str, Any]:
     """/healthz while cameras run at 2 x 60 fps, an attempt is watched, inference is asked for and viewers look on."""
-    stop = threading.Event()
-    with busy_service(models, 60.0) as (service, _, link), reading(link), contextlib.ExitStack() as stack:
-        viewers = [
-            stack.enter_context(connect(service.url(path, "ws"), compression=None, max_size=None, close_timeout=0.2))
-            for path in ("/v1/live", "/v1/cameras/left/frames?max_hz=60", "/v1/cameras/right/frames?form=jpeg")
-        ]
-        works = [threading.Thread(target=_look, args=(viewer, stop), daemon=True) for viewer in viewers]
-        works.append(threading.Thread(target=_infer, args=(service, stop), daemon=True))
-        for work in works:
-            work.start()
-        idle = stack.enter_context(idle_server())
+    watched = ("/v1/live", "/v1/cameras/left/frames?max_hz=60", "/v1/cameras/right/frames?form=jpeg")
+    with (
+        busy_service(models, 60.0) as (service, _, link),
+        reading(link),
+        crowd(service, watched) as load,
+        idle_server() as idle,
+    ):
         times: dict[str, list[float]] = {service.url("/healthz"): [], idle: []}
         until = time.monotonic() + seconds
         with httpx.Client(timeout=60) as client:
@@ -161,14 +158,11 @@ def healthz_ms(models: Path, seconds: float) -> dict[str, Any]:
                     client.get(url).raise_for_status()
                     taken.append((time.perf_counter() - started) * 1e3)
                     time.sleep(0.01)
-        stop.set()
-        for work in works:
-            work.join(10)
     ours, theirs = times.values()
     p50, p99 = np.percentile(ours, (50, 99))
     idle_p99 = round(float(np.percentile(theirs, 99)), 2)
     latencies = {"p50_ms": round(p50, 2), "p99_ms": round(p99, 2), "most_ms": round(max(ours), 2), "n": len(ours)}
-    return latencies | {"idle_server_p99_ms": idle_p99, "idle_server_most_ms": round(max(theirs), 2)}
+    return latencies | load | {"idle_server_p99_ms": idle_p99, "idle_server_most_ms": round(max(theirs), 2)}
 
 
 IDLE_SERVER = """
@@ -198,23 +192,6 @@ def _look(viewer: ClientConnection, stop: threading.Event) -> None:
     with contextlib.suppress(Exception):
         while not stop.is_set():
             viewer.recv(5)
-
-
-def _infer(service: ServiceProcess, stop: threading.Event) -> None:
-    pixels = np.zeros((1, 2, 320, 327, 3), np.uint8)
-    known = httpx.get(service.url("/v2/models/direction.step"), timeout=60).json()["inputs"]
-    entries, tail = [], b""
-    for entry in known:
-        shape = [1 if size < 0 else size for size in entry["shape"]]
-        values = pixels if entry["datatype"] == "UINT8" else np.ones(shape, np.float32)
-        size = {"binary_data_size": values.nbytes}
-        entries.append({"name": entry["name"], "datatype": entry["datatype"], "shape": shape, "parameters": size})
-        tail += values.tobytes()
-    head = httpx.Request("POST", "http://x", json={"inputs": entries}).content
-    headers = service.bearer | {"Inference-Header-Content-Length": str(len(head))}
-    with httpx.Client(timeout=60) as client, contextlib.suppress(httpx.HTTPError):
-        while not stop.is_set():
-            client.post(service.url("/v2/models/direction.step/infer"), content=head + tail, headers=headers)
 
 
 def overload(models: Path) -> dict[str, Any]:

@@ -137,5 +137,5 @@ class Press:
         if not self.stands[1] or not (before_s < end_s <= here_s or (stops and begin_s < here_s < end_s)):
             return []
         stood_s = min(here_s, end_s) - begin_s
-        told = wire.Descending(**NAMED, speed_mm_s=self.speed_mm_s, paused_s=stood_s)
-        return session.handle(told, round(min(here_s, end_s) * 1e9))
+        paused = wire.Descending(**NAMED, speed_mm_s=self.speed_mm_s, paused_s=stood_s)
+        return session.handle(paused, round(min(here_s, end_s) * 1e9))

@@ -10,6 +10,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGES = {
     "accuracy": "simulation.studies.accuracy_report:accuracy_page",
     "benchmark": "export.bench.report:benchmark_page",
+    "hostile_load": "tests.benchmarks.hostile:hostile_page",
     "hard_cases": "tests.hard_cases.__main__:hard_cases_page",
     "identify": "simulation.studies.identify.page:identify_page",
     "motion_bounds": "simulation.studies.motion_bounds.report:bounds_page",

@@ -64,8 +64,8 @@ def conditions_far_from_training(seed: int) -> float:
 )
 def shear_reach_told_as_0_01_and_100_pitches(seed: int) -> float:
     least, beyond, most = (Press(seed, reach_mm=mm) for mm in (0.01 * PITCH_MM, 100.0 * PITCH_MM, MOST_REACH_MM))
-    told = not_refused([lambda folder=one: beyond.answer(folder) for one in FOLDERS], ValueError, "shear_reach_mm")
-    return told + _not_refused([least, most], "untrained", "shear_reach_mm")
+    refused = not_refused([lambda folder=one: beyond.answer(folder) for one in FOLDERS], ValueError, "shear_reach_mm")
+    return refused + _not_refused([least, most], "untrained", "shear_reach_mm")
 
 
 @case(
