@@ -11,8 +11,9 @@ from reporting.statistics import wilson
 from reporting.table import table
 from simulation.closed_loop.benchmark import figures
 from simulation.closed_loop.campaign import Task
-from simulation.closed_loop.job import Perception, job_in
+from simulation.closed_loop.job import MEASURED, Perception, job_in
 from simulation.closed_loop.statistics import Row, ends
+from simulation.scene.drawn import QUANTITIES
 from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.scene import SceneError
 from simulation.scene.worlds import World, load_scene
@@ -36,7 +37,7 @@ _TRIES = 50
 class Variant(NamedTuple):
     """A variant: a title, networks, a controller, and what they get.
 
-    ``given_reach``: the client sends a measured shear reach. ``perception``: the networks read pictures, or true marker
+    ``given_reach``: the client sends a measured shear reach; all else that it states is the same. ``perception``: the networks read pictures, or true marker
     positions with the tracker's error.
     """
 
@@ -130,6 +131,10 @@ def _deciles(rows: Sequence[Row], reach: Any) -> Iterator[Row]:
             yield {"low": float(edges[decile]), "high": float(edges[decile + 1]), **figures(mine)}
 
 
+def _most(unstated: str) -> str:
+    return f"{QUANTITIES[f'world.{unstated}'](1.0):g}"
+
+
 def drawn_worlds_page(data: Row) -> str:
     release, starts_n = data["release"], data["variants"][0]["insertions"]
     ours = data["variants"][: release["insertions"] // starts_n]
@@ -149,6 +154,11 @@ def drawn_worlds_page(data: Row) -> str:
         {data["objects"]} drawn objects. The networks were trained on other draws from the same ranges. All variants run
         from the same starts. Marker positions are the true ones plus the tracker's error. A failure counts as 16
         trials.
+
+        The client states gap width and grasp height with the errors of each world, up to {_most("told_gap_error_mm")}
+        and {_most("told_height_error_mm")} mm, and grip and speed as they are. The release's variants differ in the
+        shear reach alone: given with the error of a cell that has measured it, {100 * MEASURED:.0f} %, or not given. No
+        variant has timed its pictures and its arm.
 
         ## Results
         """,

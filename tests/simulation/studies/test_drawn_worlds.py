@@ -10,8 +10,8 @@ WORLDS = [drawn.world(tables, f"w{number}") for number, tables in enumerate(draw
 
 def variants(tmp_path):
     return [
-        Variant("told", tmp_path, "belief", given_reach=True),
-        Variant("not told", tmp_path, "belief", given_reach=False),
+        Variant("reach given", tmp_path, "belief", given_reach=True),
+        Variant("reach not given", tmp_path, "belief", given_reach=False),
     ]
 
 
@@ -47,7 +47,7 @@ def row(name, *, inserted, claimed=True, estimate=2.0):
         "class_probabilities": {"A": 0.1},
     }
     return {
-        "condition": f"{name}: told",
+        "condition": f"{name}: reach given",
         "scene": "circle",
         "changes": {"gel.tier": "bristle"},
         "inserted": inserted,
@@ -73,4 +73,5 @@ def test_untrue_claims_come_first_and_deciles_hold_every_row(tmp_path):
     text = drawn_worlds.drawn_worlds_page(data)
     prose = " ".join(text.split())
     assert "**2 of 40 insertions of the release ended in a false claim" in prose
+    assert "with the errors of each world, up to 2 and 5 mm, and grip and speed as they are" in prose
     assert f"at worst {wilson(1, 20):.2%} were false claims" in prose, "variants of one start are not so many starts"
