@@ -37,8 +37,8 @@ _TRIES = 50
 class Variant(NamedTuple):
     """A variant: a title, networks, a controller, and what they get.
 
-    ``given_reach``: the client sends a measured shear reach; all else that it states is the same. ``perception``: the networks read pictures, or true marker
-    positions with the tracker's error.
+    ``given_reach``: the client sends a measured shear reach; all else that it states is the same. ``perception``: the
+    networks read pictures, or true marker positions with the tracker's error.
     """
 
     title: str
@@ -135,6 +135,22 @@ def _most(unstated: str) -> str:
     return f"{QUANTITIES[f'world.{unstated}'](1.0):g}"
 
 
+def _how(data: Row) -> str:
+    return f"""
+        ## How it was measured
+
+        {data["worlds"]} worlds are drawn by Latin hypercube from the ranges of [worlds](worlds.md), with
+        {data["objects"]} drawn objects. The networks were trained on other draws from the same ranges. All variants run
+        from the same starts. Marker positions are the true ones plus the tracker's error. A failure counts as 16
+        trials.
+
+        The client states gap width and grasp height with the errors of each world, up to {_most("told_gap_error_mm")}
+        and {_most("told_height_error_mm")} mm, and grip and speed as they are. The release's variants differ in the
+        shear reach alone: given with the error of a cell that has measured it, {100 * MEASURED:.0f} %, or not given. No
+        variant has timed its pictures and its arm.
+        """
+
+
 def drawn_worlds_page(data: Row) -> str:
     release, starts_n = data["release"], data["variants"][0]["insertions"]
     ours = data["variants"][: release["insertions"] // starts_n]
@@ -148,18 +164,9 @@ def drawn_worlds_page(data: Row) -> str:
         Its variants play the same {starts_n} starts, so shares are of one variant, with the 95 % Wilson interval: at
         worst {wrong:.2%} were false claims, and {done:.1%} were inserted.
 
-        ## How it was measured
-
-        {data["worlds"]} worlds are drawn by Latin hypercube from the ranges of [worlds](worlds.md), with
-        {data["objects"]} drawn objects. The networks were trained on other draws from the same ranges. All variants run
-        from the same starts. Marker positions are the true ones plus the tracker's error. A failure counts as 16
-        trials.
-
-        The client states gap width and grasp height with the errors of each world, up to {_most("told_gap_error_mm")}
-        and {_most("told_height_error_mm")} mm, and grip and speed as they are. The release's variants differ in the
-        shear reach alone: given with the error of a cell that has measured it, {100 * MEASURED:.0f} %, or not given. No
-        variant has timed its pictures and its arm.
-
+        """,
+        _how(data),
+        """
         ## Results
         """,
         table(
