@@ -26,6 +26,9 @@ UNTOLD_SHARE = (0.1, 0.2, 0.3, 0.4, 0.0, 0.0)
 """Share of training decisions without a condition: cells may not know it."""
 SCALE_ERROR, ROLL_DEG, LOST_SHARE = 0.03, 2.0, 0.03
 """Errors of a finger's camera: of its calibration, and the share of markers not found."""
+PITCHES = (0.75, 1.3)
+"""Marker pitches that a card allows, over its sensor's. They are no range of the data, which has one pitch: so far the
+lattice reads the same field alike, whatever the pitch of the markers on it."""
 _TRIED_N = 20  # trials whose reading tells whether the code that reads them has changed
 
 
@@ -74,10 +77,10 @@ class Pressed:
         )
 
     def pressing(self, strangeness_limit: float | None) -> Pressing:
-        """The card's section on how such networks read, with the ranges of the training views."""
+        """The card's section on how such networks read, with the ranges of the training views, and `PITCHES`."""
         conditions = self.conditions[self.of("train")]
-        pitch = self.sensor.marker_pitch_mm
-        trained = {MARKER_PITCH: Span(low=0.75 * pitch, high=1.3 * pitch)}
+        least_mm, most_mm = (share * self.sensor.marker_pitch_mm for share in PITCHES)
+        trained = {MARKER_PITCH: Span(low=least_mm, high=most_mm)}
         for name, values in zip(CONDITIONS, conditions.T, strict=True):
             known = values[values > 0]
             if len(known):

@@ -78,8 +78,9 @@ def test_step_weights_are_those_of_a_mean_over_a_line() -> None:
     assert weights @ depths == pytest.approx(0.35)
 
 
-@pytest.mark.parametrize("pitch_mm", [0.8, 1.05, 2.0])
+@pytest.mark.parametrize("pitch_mm", [0.75 * 1.05, 0.8, 1.05, 1.3 * 1.05, 2.0])
 def test_a_field_is_the_same_on_the_lattice_whatever_the_marker_pitch(pitch_mm: float) -> None:
+    """The range that cards allow, whose networks have read a single pitch, rests on this."""
     side = np.arange(-10, 10.01, pitch_mm)
     rest = np.stack(np.meshgrid(side, side), -1).reshape(-1, 2).astype(np.float32)
     moved = np.stack([0.1 + 0.01 * rest[:, 1], 0.2 - 0.01 * rest[:, 0]], -1)
