@@ -54,8 +54,10 @@ def test_the_demonstration_inserts_one_object_after_another_and_its_cell_knows_t
     (written,) = tmp_path.glob("*/client.toml")
     assert "[ramps.travel]\nspeed_mm_s = 60.0\n" in written.read_text()
     (listed,) = tmp_path.glob("*/recordings")
-    ended = [json.loads(path.read_text())["outcome"] for path in listed.glob("*/summary.json")]
-    assert ended.count("inserted") == 2  # what was regrasped has one of its own for each time
+    ended = [json.loads(path.read_text()) for path in listed.glob("*/summary.json")]
+    outcomes = [summary["outcome"] for summary in ended]
+    assert outcomes.count("inserted") == 2  # what was regrasped has one of its own for each time
+    assert all(summary["simulated"] for summary in ended)
 
 
 def test_nothing_is_left_running_after_an_interrupt(tmp_path):

@@ -114,7 +114,7 @@ class Probing:
         felt, watch = Felt(), StopWatch()
         log = Recorder(self._out / "episodes" / f"{plan.insertion_id}.jsonl", plan)
         arm, gripper, service = live_ports(self._settings, plan)
-        runner = Runner(plan, arm, kept or gripper, service, log, (felt, watch))
+        runner = Runner(plan, arm, kept or gripper, service, log, (felt, watch), self._settings.simulated)
         state = await runner.run()
         if state.phase is not Phase.PROBED:
             show(f"  robot: {runner.farewell}")

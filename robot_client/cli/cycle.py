@@ -72,7 +72,7 @@ async def _cycle(
         arm, gripper, service = live_ports(settings, plan)
         report = Report(arm.position, lambda text: show(f"  {text}"))
         written = log / f"{plan.insertion_id}.jsonl" if log else None
-        runner = Runner(plan, arm, gripper, service, Recorder(written, plan), (report,))
+        runner = Runner(plan, arm, gripper, service, Recorder(written, plan), (report,), settings.simulated)
         state = await runner.run()
         if state.phase is not Phase.INSERTED:
             show(f"  robot: {runner.farewell}")

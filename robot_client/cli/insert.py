@@ -123,7 +123,7 @@ async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | Non
         arm, gripper, service = live_ports(settings, plan) if live else rehearsal_ports(plan)
         report = Report(arm.position, show)
         written = log.with_stem(f"{log.stem}-{len(ran) + 1}") if log and ran else log
-        runner = Runner(plan, arm, gripper, service, Recorder(written, plan), (report,))
+        runner = Runner(plan, arm, gripper, service, Recorder(written, plan), (report,), settings.simulated)
         state = await runner.run()
         ran.append((runner, partial(report.final, farewell=runner.farewell, link=arm.statistics())))
         return state

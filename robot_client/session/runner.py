@@ -100,6 +100,7 @@ class Runner:
     service: DecisionService
     recorder: Recorder
     observers: tuple[Observer, ...] = ()
+    simulated: bool | None = None  # the cell; for the recording
     state: State = field(init=False)
     farewell: str = ""
     _events: deque[Event] = field(default_factory=deque)
@@ -110,7 +111,7 @@ class Runner:
 
     def __post_init__(self) -> None:
         self.state = State(self.plan)
-        self._telemetry = Telemetry(self.plan, self.arm, self.service.send)
+        self._telemetry = Telemetry(self.plan, self.arm, self.service.send, self.simulated)
 
     async def run(self) -> State:
         """From connecting to closing; raises DriverError if a device cannot be made ready (nothing has moved then).

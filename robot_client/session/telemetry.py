@@ -21,6 +21,7 @@ class Telemetry:
     plan: Plan
     arm: Arm
     send: Callable[[wire.ClientMessage], None]
+    simulated: bool | None = None
     _samples: list[wire.RobotSample] = field(default_factory=list)
 
     def begin(self, start: WorkPose) -> None:
@@ -29,6 +30,7 @@ class Telemetry:
         episode = wire.Episode(
             insertion_id=plan.insertion_id,
             purpose=plan.purpose,
+            simulated=self.simulated,
             object=plan.object,
             start=pose(start),
             approach=pose(plan.approach),

@@ -203,11 +203,12 @@ class Episode(InsertionMessage):
     ``start`` is the pose of the arm, ``approach`` the pose above the gap from which the first attempt descends. A probe
     approaches with a known error and is not meant to insert: its ``approach`` is that error. A press that times the
     cell (``timing``) begins like a probe, but with an object that earlier ones have pushed: nothing is learnt from it.
-    In the hand of either an object may hang as it likes.
+    In the hand of either an object may hang as it likes. ``simulated``: the cell is; None where a client does not say.
     """
 
     type: Literal["episode"] = "episode"
     purpose: Literal["insert", "probe", "timing"] = "insert"
+    simulated: bool | None = None
     object: str = Field(default="", max_length=128)
     start: ToolPose
     approach: ToolPose

@@ -100,7 +100,7 @@ class Insertion:
     def facts(self) -> dict[str, Any]:
         """Facts about the task for the summary."""
         episode = self.episode
-        task = {} if episode is None else episode.model_dump(mode="json", include=set(TASK))
+        task = {} if episode is None else episode.model_dump(mode="json", include=set(TASK), exclude_none=True)
         seconds = round((now_ns() - self.opened_ns) / 1e9, 2)
         lost_n = self.telemetry_lost_n
         task |= {"continues": self.continues} if self.continues else {}

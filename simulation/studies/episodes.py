@@ -88,6 +88,7 @@ def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row) -> 
             np.savez(episode.folder / f"attempt_{number:02d}.npz", **kept)  # type: ignore[arg-type]
     summary = {
         "purpose": job.purpose,
+        "simulated": True,
         "outcome": "inserted" if row["claimed"] else "failed",
         "approach": {"x_mm": job.x_mm, "yaw_deg": job.theta_deg},
         "row": row,

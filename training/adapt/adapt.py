@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,7 @@ from training.adapt.stages import (
     trainer_of,
 )
 from training.config import DataConfig
-from training.data.episodes import LATER, PROBE, read_episodes
+from training.data.episodes import LATER, PROBE, cells_of, read_episodes
 from training.data.pressed import Pressed, load_pressed
 from training.fit.checkpoint import AS_TRAINED, OWN, Checkpoint
 from training.metrics.figures import Predictions, Scales, figures, joined
@@ -39,7 +39,10 @@ Held = dict[StageName, tuple[Predictions, Densities]]
 
 @dataclass(frozen=True)
 class Comparison:
-    """Every stage on held-out fixtures, the best of them, and the objections to replacing the release."""
+    """Every stage on held-out fixtures, the best of them, and the objections to replacing the release.
+
+    ``cells``: how many of the recordings are of real cells and of simulated ones, see `cells_of`.
+    """
 
     figures: dict[StageName, Figures]
     best: StageName
@@ -47,6 +50,7 @@ class Comparison:
     samples_n: int
     fixtures_n: int
     gap: Gap | None = None
+    cells: dict[str, int] = field(default_factory=dict)
 
     @property
     def accepted(self) -> bool:
@@ -109,7 +113,7 @@ def adapt(
     presses = presses_around(around, release, out) if around else None
     chosen = tuple(stage for stage in stages if stage != "around" or presses)
     held = hold_out(release, samples, chosen, seed, presses)
-    comparison = replace(compare(release, samples, held, seed), gap=gap)
+    comparison = replace(compare(release, samples, held, seed), gap=gap, cells=cells_of(recordings, samples))
     if comparison.accepted:
         _fitted(comparison, release, samples, held[comparison.best], seed, presses).save(written)
     elif written.is_file():
@@ -195,6 +199,7 @@ def _fitted(
         "attempts": samples.sha256,
         "attempts_n": len(samples),
         "recordings": [*_learnt_from(release, Path(release.name)), *_digests(samples)],
+        "cells": dict(comparison.cells),
         "fixtures_n": comparison.fixtures_n,
         "stage": comparison.best,
         "presses": presses.sha256 if around and presses else None,

@@ -63,6 +63,13 @@ def read_episodes(root: Path, sensor: Sensor, record: Path | None = None) -> Pre
     return pressed_of(attempts, sensor)
 
 
+def cells_of(root: Path, samples: Pressed) -> dict[str, int]:
+    """How many of the recordings that the samples are from are of a real cell and of a simulated one, or do not say."""
+    stated = [json.loads((root / name / "summary.json").read_bytes()).get("simulated") for name in {*samples.groups}]
+    kinds = {"real": False, "simulated": True, "not stated": None}
+    return {kind: count for kind, value in kinds.items() if (count := stated.count(value))}
+
+
 def _refuse_copies(root: Path, attempts: list[Attempt]) -> None:
     """A recording that is there twice would be held out of what was fitted to it."""
     fixtures: dict[tuple[Move, bytes], str] = {}

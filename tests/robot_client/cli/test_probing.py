@@ -130,7 +130,8 @@ def test_a_probe_tells_how_far_below_the_taught_tops_it_touched(tmp_path, monkey
     class Played:
         farewell = ""
 
-        def __init__(self, plan, _arm, _gripper, _service, log, observers):
+        def __init__(self, plan, _arm, _gripper, _service, log, observers, simulated):
+            assert not simulated, "its recording says that the cell is real"
             self.plan, self.observers, self.log = plan, observers, log
 
         async def run(self):

@@ -77,7 +77,9 @@ def test_a_probe_that_a_crash_ended_is_still_a_probe_of_its_object(tmp_path: Pat
     hello = wire.ClientHello(insertion_id="crashed", client="test", continues="before")
     recorder.message("client", hello.model_dump(mode="json"), 0)
     pose = wire.ToolPose(x_mm=8.0, y_mm=0.0, z_mm=35.0, yaw_deg=6.0)
-    episode = wire.Episode(insertion_id="crashed", purpose="probe", object="box", start=pose, approach=pose)
+    episode = wire.Episode(
+        insertion_id="crashed", purpose="probe", simulated=True, object="box", start=pose, approach=pose
+    )
     recorder.message("client", episode.model_dump(mode="json"), 1)
     path = recorder.close({"outcome": "aborted"})
     (path.parent / "summary.json").unlink()
@@ -85,7 +87,7 @@ def test_a_probe_that_a_crash_ended_is_still_a_probe_of_its_object(tmp_path: Pat
     recover(tmp_path)
     summary = json.loads((path.parent / "summary.json").read_text())
     assert (summary["purpose"], summary["object"], summary["outcome"]) == ("probe", "box", "interrupted")
-    assert summary["continues"] == "before"
+    assert (summary["continues"], summary["simulated"]) == ("before", True)
 
 
 def test_what_a_crash_left_keeps_its_attachments(tmp_path: Path) -> None:

@@ -49,6 +49,7 @@ def test_a_cell_that_is_off_is_learnt_from_work(release, tmp_path, stages):
     assert after["coverage90_x"] > 0.8
     made = Checkpoint.load(tmp_path / "out" / "checkpoint.pt")
     assert made.run["adapted"]["stage"] == comparison.best
+    assert made.run["adapted"]["cells"] == {"not stated": 80}
     assert made.figures["validation/all"] == after, "not those of the release"
     assert made.as_trained == Checkpoint.load(release).figures["validation/all"]
     assert made.figures["joint/validation/all"]["mae_x_mm"] < 0.8 * before["mae_x_mm"]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.contract import ContractError, Sensor
-from training.data.episodes import read_episodes
+from training.data.episodes import cells_of, read_episodes
 from training.networks.pressing import LATTICE
 
 CONDITIONS = np.array([56, 30, 20, 0, 10, 0.3], np.float32)
@@ -64,6 +64,19 @@ def test_errors_are_those_told_of_probes_and_the_moves_that_were_left_of_inserti
     assert read.error.tolist() == [[-7.0, 3.0], [5.0, -2.5], [1.0, -0.5], [1.0, -0.5]]
     assert read.length.tolist() == [8, 8, 8, 8]
     assert read.objects.tolist() == ["probe", "work", "later", "later"]
+
+
+def test_recordings_say_whether_their_cell_is_real_and_older_ones_do_not(tmp_path):
+    rng, samples = np.random.default_rng(0), Sensor.load()
+    for name, stated in (
+        ("a", {"simulated": False}),
+        ("b", {"simulated": True}),
+        ("c", {"simulated": True}),
+        ("d", {}),
+    ):
+        keep(tmp_path / name, [(steps_of(1, 1, rng), {})] * 2, "probe", "failed", 1.0, 1.0, **stated)
+        assert sum(cells_of(tmp_path, read_episodes(tmp_path, samples)).values()) == len([*tmp_path.iterdir()])
+    assert cells_of(tmp_path, read_episodes(tmp_path, samples)) == {"real": 1, "simulated": 2, "not stated": 1}
 
 
 @pytest.mark.parametrize("lost", [0, 2, 3])
