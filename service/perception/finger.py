@@ -102,14 +102,16 @@ class TactileFinger:
             onset_ns = self._onset.update(field)
         slip = self._with_contact(slip, empty=untouched(marked))
         touch = self._open.touch(field, small)
+        weight = self._open.weight(field)
+        slipped = time.perf_counter()
         imprint = self._imprint.update(image, field) if self._imprint else None
         cost_ms = {
             "rectify": rectify_ms,
             "markers": (tracked - rectified) * 1e3,
-            "slip": (time.perf_counter() - tracked) * 1e3,
+            "slip": (slipped - tracked) * 1e3,
+            "imprint": (time.perf_counter() - slipped) * 1e3,
         }
         stamps, certain_ns = (frame.seq, frame.captured_ns), self._liveness.certain_ns
-        weight = self._open.weight(field)
         observation = Observation(self.finger, *stamps, image, field, slip, onset_ns, cost_ms, bulge, touch, imprint)
         return replace(observation, weight=weight, certain_ns=certain_ns)
 

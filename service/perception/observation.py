@@ -19,7 +19,7 @@ class Observation:
     - ``image``: the rectified frame uint8 [H, W, 3]. ``field``: the markers.
     - ``slip``: the slip state since the last rearm.
     - ``onset_ns``: capture stamp of the first frame that shows the object's motion, once certain.
-    - ``cost_ms``: time of rectification, tracking and slip detection.
+    - ``cost_ms``: time by part: rectification, markers, slip (with open gel and liveness) and imprint.
     - ``bulge``: displacement of the markers over an untouched gel's limit; below 1 untouched, None: unknown.
     - ``touch``: the same for the whole picture, if the open gel's was learnt; the phases of a grasp follow it.
     - ``weight``: downward displacement of the markers; from 1 on something's weight.

@@ -12,6 +12,8 @@ from service.perception.observation import FingerWatch, Observation, PairObserva
 from service.perception.slip.phases import Grasp
 from service.perception.slip.slide import SlideWitness
 
+IMPRINT_SLIDES = "the imprint slides"
+
 
 @dataclass(slots=True)
 class Fingers:
@@ -42,7 +44,7 @@ class Fingers:
         observation = self.watch(frame.finger).observe(frame)
         self._observations[frame.finger] = observation
         if self._slides() and not observation.slip.stop and observation.informative:
-            slip = replace(observation.slip, state="gross_slip", score=1.0, reason="the imprint slides")
+            slip = replace(observation.slip, state="gross_slip", score=1.0, reason=IMPRINT_SLIDES)
             self._observations[frame.finger] = replace(observation, slip=slip)
         return self._observations[frame.finger]
 

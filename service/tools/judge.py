@@ -5,6 +5,8 @@ A recording does not state the open gel before the grasp, so it is sought in the
 uses the whole run; everything after it uses only earlier frames.
 """
 
+import itertools
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -21,9 +23,10 @@ from service.perception.markers.tracker import MarkerTracker
 from service.perception.slip.grasp import GraspWatch
 from service.perception.slip.imprint import ImprintChange, ImprintWatch
 from service.perception.slip.open_gel import OpenGel, shrunk
-from service.perception.slip.phases import ENDED, Grasp, Phase
+from service.perception.slip.phases import EMPTY_N, ENDED, Grasp, Phase
 from service.perception.slip.rigid import Float64
 from service.perception.slip.slide import SlideWitness, slide_score
+from service.tools.live import stops_of
 from service.tools.open_frame import Rest, rest
 
 RATE_HZ = 8.0  # of the recordings the thresholds were set with; headers are wrong about the rate
@@ -172,6 +175,7 @@ def report_of(folder: Path, step: int = 1) -> RunReport:
             name: {"frames_n": finger.frames_n, **story}
             for (name, finger), story in zip(clips.items(), alone, strict=True)
         },
+        "live": _live([clip for clip in videos if clip.stem in clips], still, whole, step),
         "open_frame": still.frame * step if still is not None and still.is_open else None,
         "ambiguous_n": statuses.count("ambiguous"),
         "refused_n": sum(status in {"lost", "no_grid", "duplicate"} for status in statuses),
@@ -179,6 +183,22 @@ def report_of(folder: Path, step: int = 1) -> RunReport:
         "ms_a_frame": 1e3 * sum(finger.spent_s for finger in fingers) / len(statuses),
     }
     return RunReport(row, [None if terms is None else terms.tolist() for terms in evidence], remarks)
+
+
+def _live(videos: Sequence[Path], still: Rest | None, whole: dict[str, Any], step: int) -> dict[str, Any] | None:
+    """When the session's own detector would stop an arm in the held grasp; None without one, or without two gels."""
+    begin = whole["hold_frame"]
+    if begin is None or len(videos) < _FINGERS_N:
+        return None
+    ends = [whole[f"{end}_frame"] // step - EMPTY_N + 1 for end in ENDED if whole[f"{end}_frame"] is not None]
+    held = range(begin // step, min(ends, default=sys.maxsize))
+    open_frame = still.frame if still is not None and still.is_open else None
+    live = stops_of(lambda: zip(*(_pictures(clip, step) for clip in videos), strict=False), open_frame, held, RATE_HZ)
+    return {key: [k * step for k in value] if key.endswith("_frames") else value for key, value in live.items()}
+
+
+def _pictures(clip: Path, step: int) -> Iterator[Image]:
+    return (_reduced(whole) for whole, _ in itertools.islice(clip_images(clip), 0, None, step))
 
 
 def _evidence(fingers: Sequence[FingerRun], frames_n: int) -> list[NDArray[np.float64] | None]:

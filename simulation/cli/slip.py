@@ -9,7 +9,7 @@ import tyro
 from reporting.files import read_json
 from reporting.page import publish
 from simulation.data.progress import progress
-from simulation.studies.slip import detection, grasps, report, tracking
+from simulation.studies.slip import detection, grasps, grasps_page, report, tracking
 
 
 @dataclass(frozen=True)
@@ -59,5 +59,7 @@ def real_grasps(arguments: list[str]) -> int:
     rows = read_json(options.rows, "python -m service judge FOLDER")
     evidence = read_json(options.evidence, "python -m service judge FOLDER --evidence runs/evidence.json")
     data = grasps.figures(rows, read_json(options.labels, "a file of labels"), evidence)
-    print(publish(options.out, "real_grasps", grasps.grasps_page(data), data))
+    published = options.out / "real_grasps.json"
+    data |= {"note": read_json(published, "this command").get("note", "") if published.exists() else ""}
+    print(publish(options.out, "real_grasps", grasps_page.grasps_page(data), data))
     return 0

@@ -29,6 +29,35 @@ def watch_settings(slip_pitch: float) -> SlipSettings:
     return SlipSettings(stall_pitch=math.inf, slip_pitch=slip_pitch)
 
 
+class Standstill:
+    """Whether one finger's markers have been at rest for a while."""
+
+    def __init__(self) -> None:
+        self._anchor: MarkerField | None = None
+
+    def forget(self) -> None:
+        """Wait anew."""
+        self._anchor = None
+
+    def update(self, field: MarkerField) -> bool:
+        """Whether the markers are at rest in this field."""
+        if not field.usable:
+            self._anchor = None if field.status == "lost" else self._anchor
+            return False
+        anchor = self._anchor
+        if anchor is None or anchor.valid.shape != field.valid.shape or moved(anchor, field):
+            self._anchor = field
+            return False
+        return (field.captured_ns - anchor.captured_ns) * 1e-9 >= _SETTLE_S
+
+
+def moved(anchor: MarkerField, field: MarkerField) -> bool:
+    """Whether the markers of two fields rest in different places."""
+    may = field.valid & anchor.valid
+    step = np.asarray(field.displacement_px - anchor.displacement_px, np.float64)
+    return carried_px(step, may) > _REST_PITCH * field.pitch_px
+
+
 class GraspWatch:
     """Turns the fields of one finger into states, arming the slip detector whenever the grasp has settled.
 
@@ -38,15 +67,15 @@ class GraspWatch:
     def __init__(self, slip: SlipSettings | None = None) -> None:
         self.free = OpenGel()
         self.detector = SlipDetector(slip or watch_settings(WATCH_SLIP_PITCH))
-        self._anchor: MarkerField | None = None
+        self._standstill = Standstill()
         self._free = False
 
     def update(self, field: MarkerField) -> SlipState:
         """Classify one field; until the grasp has settled the state is "grasping", without one "no_contact"."""
         field = self.free.mark(field)
-        settled = self._settled(field)
+        settled = self._standstill.update(field)
         reference = self.detector.reference
-        if settled and not self._free and reference is not None and self._moved(reference, field):
+        if settled and not self._free and reference is not None and moved(reference, field):
             return self.detector.rearm(field)
         if not self.detector.armed or self._free:
             if settled:
@@ -57,7 +86,7 @@ class GraspWatch:
         state = self.detector.update(field)
         if state.state in {"incipient_slip", "gross_slip", "release", "lost", "unknown"}:
             self._free = True
-            self._anchor = None
+            self._standstill.forget()
         return state
 
     def _grasping(self, field: MarkerField) -> SlipState:
@@ -65,18 +94,3 @@ class GraspWatch:
             return self.detector.rearm(field)
         state = self.detector.update(field)
         return replace(state, score=0.0, over_limit=False, reason="waiting for the grasp to settle")
-
-    def _settled(self, field: MarkerField) -> bool:
-        if not field.usable:
-            self._anchor = None if field.status == "lost" else self._anchor
-            return False
-        anchor = self._anchor
-        if anchor is None or anchor.valid.shape != field.valid.shape or self._moved(anchor, field):
-            self._anchor = field
-            return False
-        return (field.captured_ns - anchor.captured_ns) * 1e-9 >= _SETTLE_S
-
-    def _moved(self, anchor: MarkerField, field: MarkerField) -> bool:
-        may = field.valid & anchor.valid
-        step = np.asarray(field.displacement_px - anchor.displacement_px, np.float64)
-        return carried_px(step, may) > _REST_PITCH * field.pitch_px

@@ -139,6 +139,7 @@ def without_each_object(runs: Sequence[Run]) -> dict[str, Any]:
         "untellable": sum(max(run.begin, run.slide or 0) >= run.end for run in slides),
         "false": [alarmed[run.name] for run in holds],
         "false_anywhere": [len(alarms[run.name]) > 0 for run in holds],
+        "over": {run.name: np.flatnonzero(scores[run.name] >= 0).tolist() for run in runs},
         "false_runs": sorted(run.name for run in holds if alarmed[run.name]),
         "false_frames_per_1000": 1000 * sum(int((alarms[run.name] < run.before).sum()) for run in holds) / frames_n,
         "auc": _auc(*([counted[run.name] for run in some] for some in (slides, holds))),

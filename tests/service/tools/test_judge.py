@@ -14,6 +14,7 @@ from tests.service.perception.synthetic import draw, grid
 KEYS = {
     "run", "frames_n", "contact_frame", "hold_frame", "slip_frame", "lost_frame", "released_frame",
     "borne_frames", "fingers", "largest_score", "open_frame", "ambiguous_n", "refused_n", "missing_n", "ms_a_frame",
+    "live",
 }  # fmt: skip
 
 
@@ -59,6 +60,8 @@ def test_the_phases_of_a_recorded_grasp_are_found(tmp_path):
     assert 18 < row["hold_frame"] < 28
     assert 38 <= row["lost_frame"] <= 40
     assert set(row["fingers"]) == {"camera_0", "camera_2"}
+    armed = row["live"]["armed_frames"]
+    assert row["hold_frame"] < armed[0] < armed[-1] < row["lost_frame"]
 
 
 def test_an_object_that_is_put_down_and_let_go_is_released_and_not_lost(tmp_path):

@@ -3,8 +3,10 @@
 import json
 
 import numpy as np
+import pytest
 
 from simulation.__main__ import main
+from simulation.studies.slip.alarms import share
 from simulation.studies.slip.grasps import figures
 
 LABELS = {
@@ -18,20 +20,28 @@ LABELS = {
 }
 
 
-def row(run, slip=None, lost=None, opened=13, markers=None, released=None, borne=()):
+def live(armed=range(32, 130), **causes):
+    """What a session would do: the frames in which it is armed, and those in which it stops, by cause."""
+    frames = {f"{cause}_frames": [*causes.get(cause, ())] for cause in ("markers", "stalled", "imprint", "other")}
+    parts = {"rectify": 0.3, "markers": 1.0, "slip": 0.9, "imprint": 0.6}
+    cost_ms = {part: [ms, 2 * ms, 3 * ms] for part, ms in {"whole": 2.9, **parts}.items()}
+    return {**frames, "armed_frames": [*armed], "refused": [], "cost_ms": cost_ms}
+
+
+def row(run, slip=None, lost=None, opened=13, markers=None, released=None, borne=(), live=None):
     frames = {"contact_frame": 20, "hold_frame": 30, "slip_frame": slip, "lost_frame": lost}
     frames |= {"released_frame": released, "borne_frames": [*borne]}
     fingers = {"camera_0": {"slip_frame": None}, "camera_2": {"slip_frame": markers}}
-    counts = {"ambiguous_n": 1, "ms_a_frame": 2.0}
+    counts = {"ambiguous_n": 1, "ms_a_frame": 2.0, "live": live}
     return {"run": run, "frames_n": 130, **frames, "open_frame": opened, "fingers": fingers, **counts}
 
 
 def rows():
     return [
-        row("box_1_slip", slip=50, lost=62),
-        row("box_2_slip", slip=58, lost=70, markers=55),
+        row("box_1_slip", slip=50, lost=62, live=live(imprint=[50], markers=[38])),
+        row("box_2_slip", slip=58, lost=70, markers=55, live=live(stalled=[56], imprint=[58])),
         row("box_3_slip", lost=61),
-        row("tin_4_hold", slip=80, markers=90),
+        row("tin_4_hold", slip=80, markers=90, live=live(stalled=[70], imprint=[80], other=[99])),
         row("box_5_hold", lost=91),
         row("tin_6_hold", opened=None),
         row("can_7_slip", slip=None, lost=62),
@@ -53,17 +63,45 @@ def evidence(sliding=("box_1_slip", "can_7_slip"), walking=(), still=()):
 
 def test_only_what_is_told_in_time_counts():
     result = figures(rows(), LABELS, evidence())
-    names = ("lost", "warned", "warned_by_markers", "slip_of_held", "slip_of_held_by_markers")
+    names = ("lost", "warned", "slip_of_held")
     counted = {name: (result[name]["hits"], result[name]["runs"]) for name in names}
-    assert counted == {
-        "lost": (3, 4),
-        "warned": (1, 3),
-        "warned_by_markers": (1, 3),
-        "slip_of_held": (1, 4),
-        "slip_of_held_by_markers": (1, 4),
-    }
+    assert counted == {"lost": (3, 4), "warned": (1, 3), "slip_of_held": (1, 4)}
+    by_markers = detectors(result)["markers alone, limit for clips"]
+    assert [(by_markers[name]["hits"], by_markers[name]["runs"]) for name in ("warned", "false")] == [(1, 3), (1, 4)]
     assert (result["lost_of_held"]["hits"], result["lost_of_held_to_the_end"]["hits"]) == (1, 0)
     assert result["without_open_frame"] == 1
+
+
+def detectors(result):
+    return {one["name"]: one for one in result["detectors"]}
+
+
+def test_what_runs_live_comes_first_and_alarms_where_any_part_of_it_does():
+    result = figures(rows(), LABELS, evidence())
+    first = result["detectors"][0]
+    assert (first["warned"]["hits"], first["early"], first["lead"][0], first["false"]["hits"]) == (1, 1, 22, 1)
+    assert first["ms"] == pytest.approx(2.8)
+    alone = detectors(result)["witness alone, as live"]
+    assert (alone["warned"]["hits"], alone["early"], alone["lead"][0], alone["false"]["hits"]) == (1, 0, 10, 1)
+    assert alone["ms"] == pytest.approx(1.9)
+    assert (result["stopped_for_other"]["hits"], result["stalled_of_held"]) == (1, 1)
+    assert result["runs"][0] | {"live": 38, "cause": "markers", "lead": 22} == result["runs"][0]
+    assert len(result["runs"]) == len(rows()), "held runs are listed, too"
+
+
+def test_a_slide_that_nobody_watches_for_is_no_alarm_of_what_runs_live():
+    def left_out(armed):
+        changed = [
+            row("can_7_slip", lost=62, live=live(armed)) if one["run"] == "can_7_slip" else one for one in rows()
+        ]
+        return figures(changed, LABELS, evidence())["detectors"][1]["warned"]["hits"]
+
+    assert left_out(range(32, 60)) == left_out(()) + 1
+
+
+def test_intervals_are_exact():
+    assert share([True] * 3 + [False] * 63)["share"] == pytest.approx((0.0455, 0.0095, 0.1271), abs=1e-4)
+    assert share([False] * 50)["share"] == pytest.approx((0.0, 0.0, 0.0711), abs=1e-4)
 
 
 def test_the_witness_is_judged_on_objects_that_it_was_not_fitted_on():
@@ -105,10 +143,12 @@ def test_the_page_is_written_from_rows_and_labels_and_refuses_a_part(tmp_path, c
     for name, content in (("rows", rows()), ("labels", LABELS), ("evidence", evidence())):
         (tmp_path / f"{name}.json").write_text(json.dumps(content))
     given = [f"--{name}={tmp_path}/{name}.json" for name in ("rows", "labels", "evidence")] + [f"--out={tmp_path}"]
+    (tmp_path / "real_grasps.json").write_text(json.dumps({"note": "The worst of it."}))
     assert main(["grasps", *given]) == 0
     text = (tmp_path / "real_grasps.md").read_text()
-    assert "| box_2_slip | 40 | 60 | 20 | 30 | 58 | 70 | - |" in text
-    assert "What ships detected 1 of 3 visible slides" in text
+    assert "| box_2_slip | 40 | 60 | 20 | 30 | 58 | 70 | - | 56 | stalled | 4 |" in text
+    assert "it detects 1 of 3 visible slides" in " ".join(text.split())
+    assert "worst of it" in text, "what was written by hand stays"
     (tmp_path / "rows.json").write_text(json.dumps(rows()[1:]))
     assert main(["grasps", *given]) == 2
     assert "no rows of box_1_slip" in capsys.readouterr().err
