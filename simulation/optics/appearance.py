@@ -47,6 +47,7 @@ class Appearance:
     object_texture_gain: float = 0.07
     defocus_px: float = 0.6
     motion_blur_share: float = 0.0  # exposure time over frame period
+    used_share: float = 0.0  # of what a sensor that was in use shows (`simulation.optics.used`)
     rolling_share: float = 0.0  # readout time of the sensor over frame period
 
     def __post_init__(self) -> None:
@@ -114,6 +115,7 @@ def optics_of(scene: Scene) -> dict[str, Any]:
         "sensor": scene.sensor,
         "noise_sigma_grey": camera.noise_grey if active.camera_noise else 0.0,
         "exposure": camera.exposure * camera.light,
+        "used_share": camera.used_share if active.used_sensor else 0.0,
         "worn": scene.gel.wear if active.gel_wear else 0.0,
         "missing_dots_share": 0.02 * scene.gel.wear if active.gel_wear else 0.0,
         "object_texture": texture,

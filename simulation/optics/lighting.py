@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import Sensor
+from simulation.optics import used
 from simulation.optics.appearance import Appearance
 
 Floats = NDArray[np.float32]
@@ -26,6 +27,9 @@ def illumination(look: Appearance, at: Floats, rng: np.random.Generator) -> tupl
     red = 0.20 + 0.06 * corners + 0.20 * edge + 0.34 * cast
     blue = 0.17 + 0.16 * corners + 0.20 * edge + 0.05 * cast
     light = (np.stack([blue, green, red], -1) + look.ambient) * look.light_bgr * (look.exposure * 255)
+    if look.used_share > 0:
+        real = used.light_grey(u, v) * look.light_bgr * look.exposure
+        light = (1 - look.used_share) * light + look.used_share * real
     margin = np.minimum(np.minimum(u, 1 - u) * width, np.minimum(v, 1 - v) * height)
     gel = np.clip(margin / 6 + 1.5, 0, 1)[..., None]
     return _planes(light * gel), _planes(_housing(rng, look.sensor, look.exposure) * (1 - gel))

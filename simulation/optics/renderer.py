@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from service.perception.rectification import CameraCalibration
 from simulation.optics import texture as tx
+from simulation.optics import used
 from simulation.optics.appearance import Appearance
 from simulation.optics.lighting import illumination
 
@@ -270,7 +271,12 @@ def _textures(look: Appearance, rng: np.random.Generator) -> tuple[Floats, Float
     """
     sensor, kind, period_px = look.sensor, look.object_texture, look.object_texture_period_px
     fabric = tx.cloth(rng, sensor, look.cloth_period_px, look.cloth_contrast, look.worn)
-    albedo = fabric * (1 - look.dot_darkness * tx.dot_cover(rng, sensor, look.missing_dots_share))
+    share = look.used_share
+    off_px = used.dots_off_px(look.seed, sensor, share) if share > 0 else None
+    darkness = look.dot_darkness * (1 - share * (1 - used.PALE))
+    albedo = fabric * (1 - darkness * tx.dot_cover(rng, sensor, look.missing_dots_share, off_px))
+    if share > 0:
+        albedo = used.soiled(albedo, look.seed, sensor, share)
     bumps = tx.draw_bumps(rng, sensor, kind, period_px)
     relief = (
         _defocused(tx.relief(bumps, sensor, kind, period_px), look.defocus_px) if look.object_texture_gain else None

@@ -27,25 +27,28 @@ def texture_grid(sensor: Sensor) -> tuple[Floats, Floats]:
     return u, v
 
 
-def dot_cover(rng: np.random.Generator, sensor: Sensor, missing_share: float) -> Floats:
+def dot_cover(rng: np.random.Generator, sensor: Sensor, missing_share: float, off_px: Floats | None = None) -> Floats:
     """Float32 [H, W] in 0..1: the share of each texture pixel that a black dot covers.
 
     Dots have a soft rim one pixel wide, and small random variations of radius and opacity as if dabbed by hand;
-    ``missing_share`` of them have worn off.
+    ``missing_share`` of them have worn off; ``off_px`` [rows + 2, columns + 2, 2]: how far they are off their places.
     """
     u, v = texture_grid(sensor)
     (first_u, first_v), pitch = sensor.first_marker_px, sensor.marker_pitch_px
     column, row = np.rint((u - first_u) / pitch), np.rint((v - first_v) / pitch)
-    distance = np.hypot(u - first_u - pitch * column, v - first_v - pitch * row)
     shape = (sensor.marker_rows + 2, sensor.marker_columns + 2)
+    rows = np.clip(row + 1, 0, shape[0] - 1).astype(np.intp)
+    columns = np.clip(column + 1, 0, shape[1] - 1).astype(np.intp)
+    across, down = u - first_u - pitch * column, v - first_v - pitch * row
+    if off_px is not None:
+        across, down = across - off_px[rows, columns, 0], down - off_px[rows, columns, 1]
+    distance = np.hypot(across, down)
     radius = sensor.marker_diameter_px / 2 * rng.normal(1.0, 0.05, shape)
     opacity, lots = rng.uniform(0.85, 1.0, radius.shape), rng.random(radius.shape)
     if missing_share > 0:
         opacity *= lots >= missing_share
     opacity[[0, -1], :] = 0  # the printed grid ends; beyond it there is cloth only
     opacity[:, [0, -1]] = 0
-    rows = np.clip(row + 1, 0, shape[0] - 1).astype(np.intp)
-    columns = np.clip(column + 1, 0, shape[1] - 1).astype(np.intp)
     cover: Floats = (np.clip(radius[rows, columns] - distance + 0.5, 0, 1) * opacity[rows, columns]).astype(np.float32)
     return cover
 

@@ -30,6 +30,7 @@ class Active(NamedTuple):
     motion_blur: bool
     rolling_shutter: bool
     camera_noise: bool
+    used_sensor: bool
     dropped_frames: bool
 
 
@@ -132,6 +133,7 @@ EFFECTS = (
     Effect("motion_blur", "markers smeared within an exposure", _blur),
     Effect("rolling_shutter", "rows read one after another while the gel moves", _rolling),
     Effect("camera_noise", "grey-level noise", _above("camera.noise_grey", 0.0)),
+    Effect("used_sensor", "uneven light, flares, glue, debris, poor print", _above("camera.used_share", 0.02)),
     Effect("dropped_frames", "frames that never arrive", _above("camera.dropped_share", 0.0)),
 )
 

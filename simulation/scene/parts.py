@@ -175,6 +175,7 @@ class Camera(Part):
 
     ``sensor`` is a name or a TOML file; keys below a scene's `[camera.sensor]` override those of the default sensor.
     ``latency_ms``: delay until a frame arrives; it is stamped on arrival, not on exposure.
+    ``used_share``: of the uneven light, flares, glue, debris and poor print of a GelSlim that was in use.
     """
 
     sensor: Sensor = Field(default_factory=Sensor.load)
@@ -184,6 +185,7 @@ class Camera(Part):
     exposure_ms: float = Field(default=8.0, ge=0.1, le=33.0)
     readout_ms: float = Field(default=0.0, ge=0.0, le=33.0)
     light: float = Field(default=1.0, ge=0.2, le=3.0)
+    used_share: float = Field(default=0.0, ge=0.0, le=1.0)
     dropped_share: float = Field(default=0.0, ge=0.0, le=0.5)
     latency_ms: float = Field(default=0.0, ge=0.0, le=500.0)
 
@@ -221,6 +223,7 @@ class Effects(Part):
     motion_blur: Switch = "auto"
     rolling_shutter: Switch = "auto"
     camera_noise: Switch = "auto"
+    used_sensor: Switch = "auto"
     dropped_frames: Switch = "auto"
 
 

@@ -143,8 +143,14 @@ class Scene(Part):
         return self.camera.fps or self.sensor.fps
 
     def identity_json(self) -> str:
-        """Everything about the cell, as one line of JSON: its identity in data sets."""
-        return self.model_dump_json(exclude=OF_NO_CELL)
+        """Everything about the cell, as one line of JSON: its identity in data sets.
+
+        What came later and is not asked for is left out, so that older cells keep their identity and their seeds.
+        """
+        if self.camera.used_share or self.effects.used_sensor != "auto":
+            return self.model_dump_json(exclude=OF_NO_CELL)
+        later = {"camera": OF_NO_CELL["camera"] | {"used_share": True}, "effects": {"used_sensor"}}
+        return self.model_dump_json(exclude=OF_NO_CELL | later)
 
     @property
     def sha256(self) -> str:

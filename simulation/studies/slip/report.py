@@ -8,6 +8,7 @@ from reporting.statistics import Estimate
 from reporting.table import Table, table
 
 Row = dict[str, Any]
+_NOISES = {"used_sensor": "2, used sensor"}
 
 
 def slip_page(report: Row) -> str:
@@ -31,7 +32,7 @@ def slip_page(report: Row) -> str:
         "## Accuracy of the marker tracker",
         table(
             report["tracking"].items(),
-            ("camera noise, grey levels", lambda row: row[0].removeprefix("noise_")),
+            ("camera noise, grey levels", lambda row: _NOISES.get(row[0], row[0].removeprefix("noise_"))),
             ("RMS px, vector", lambda row: math.sqrt(2) * row[1]["rms_px"], ".3f"),
             ("RMS px, per axis", "1.rms_px", ".3f"),
             ("wrong", "1.wrong_share", ".2%"),
@@ -42,6 +43,8 @@ def slip_page(report: Row) -> str:
         - **Wrong:** markers off by more than a quarter pitch. The renderer draws these in the wrong place: it cannot
           follow a gel whose displacement changes by two thirds of a pitch from one marker to the next.
         - **Tracked:** the share of markers with a reported position; some have left the frame.
+        - **Used sensor:** uneven light, flares, glue, debris and poor print, as measured on one raw frame of the
+          paper's sensor (`camera.used_share = 1`).
         """,
         _origin(report["tracking"]),
         "[Real grasps](real_grasps.md) has the results on recordings of real sensors. "

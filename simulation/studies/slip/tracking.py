@@ -65,6 +65,8 @@ def accuracy_at_noise(trials: Sequence[SlipTrial], noise: float) -> dict[str, fl
 
 
 def measure(seed: int, fps: int) -> dict[str, dict[str, float]]:
-    """Both noises on the same slip trials."""
+    """Both noises on the same slip trials, and the lower one behind a used sensor."""
     trials = [trial for trial in draw_trials(8 * MEASURED_N, seed, fps) if trial.label == "slip"][:MEASURED_N]
-    return {f"noise_{noise:.0f}": accuracy_at_noise(trials, noise) for noise in NOISES_GREY}
+    used = [replace(trial, scene=trial.scene.varied({"camera.used_share": 1.0})) for trial in trials]
+    new = {f"noise_{noise:.0f}": accuracy_at_noise(trials, noise) for noise in NOISES_GREY}
+    return {**new, "used_sensor": accuracy_at_noise(used, NOISES_GREY[0])}

@@ -16,7 +16,7 @@ from simulation.cell.emulators.camera import CameraEmulator, Shot
 from simulation.cell.emulators.faults import FaultBoard
 from simulation.closed_loop.lockstep import LockstepCell
 from simulation.data.probe import Probe, run_probe
-from simulation.optics import renderer, texture
+from simulation.optics import renderer, texture, used
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.effects import EFFECTS, active_effects, decide, dropped_share
@@ -136,6 +136,12 @@ CASES = {
         load_scene("rectangle", camera__readout_ms=20.0),
         load_scene("rectangle", camera__readout_ms=1.0),
     ),
+    "used_sensor": (
+        image_difference,
+        NOISE_GREY,
+        load_scene("circle", camera__used_share=0.2),
+        load_scene("circle", camera__used_share=0.01),
+    ),
     "camera_noise": (image_difference, 0.5, load_scene("circle"), load_scene("circle", camera__noise_grey=0.0)),
     "dropped_frames": (frames_lost, 0.1, load_scene("circle", camera__dropped_share=0.2), load_scene("circle")),
 }
@@ -188,12 +194,14 @@ IN_THE_PICTURE = {
     "motion_blur": [(Renderer, "_blurred")],
     "rolling_shutter": [(renderer, "_rolled")],
     "camera_noise": [(renderer, "_noise")],
+    "used_sensor": [(used, "light_grey"), (used, "dots_off_px"), (used, "soiled")],
 }
 
 
 def look_of(key: str, switch: str) -> Appearance:
     """The left finger of a scene in which only this effect's switch differs."""
-    scene = load_scene("vitamin", camera__readout_ms=10.0).varied({f"effects.{key}": switch})
+    given = {"camera__readout_ms": 10.0} | ({"camera__used_share": 0.5} if key == "used_sensor" else {})
+    scene = load_scene("vitamin", **given).varied({f"effects.{key}": switch})
     return Appearance.draw(scene, "left", 2)
 
 

@@ -59,6 +59,7 @@ STILL = {
     "object_texture": ({}, UNTOUCHED, 0.5 * UNTOUCHED),
     "motion_blur": ({}, GEL, GEL),
     "rolling_shutter": ({"camera.readout_ms": 10.0}, GEL, GEL),
+    "used_sensor": ({"camera.used_share": 0.0}, GEL, 0.5 * GEL),
     "camera_noise": ({"camera.noise_grey": 0.0}, GEL, 0.5 * GEL),
 }
 
