@@ -17,8 +17,7 @@ Row = Mapping[str, Any]
 Alarms = Callable[[Row], Sequence[int]]
 
 LIVE, LEFT_OUT = "what runs live: markers or witness", "the same, witness fitted without the object"
-TRACKED = ("rectify", "markers")
-MARKERS, WITNESS, WHOLE = (*TRACKED, "slip"), (*TRACKED, "imprint"), (*TRACKED, "slip", "imprint")
+EITHER, MARKERS, WITNESS = (), ("imprint",), ("slip",)  # parts of a session's perception that a detector lacks
 
 
 def share(hits: Sequence[bool]) -> dict[str, Any]:
@@ -55,9 +54,10 @@ def detectors(slips: Sequence[Row], holds: Sequence[Row], without: Mapping[str, 
         return [one["slip_frame"] for one in row["fingers"].values() if one["slip_frame"] is not None]
 
     kinds: tuple[tuple[str, Alarms, tuple[str, ...]], ...] = (
-        (LIVE, lambda row: live_alarms(row, *every), WHOLE),
-        (LEFT_OUT, left_out, WHOLE),
-        ("the same, without the rule of a stopped patch", lambda row: live_alarms(row, "markers", "imprint"), WHOLE),
+        (LIVE, lambda row: live_alarms(row, *every), EITHER),
+        (LEFT_OUT, left_out, EITHER),
+        ("the same, without the rule of a stopped patch", lambda row: live_alarms(row, "markers", "imprint"), EITHER),
+        ("the same, witness armed with the hold", lambda row: [*live_alarms(row, *marks), *first_slip(row)], EITHER),
         ("markers alone, as live", lambda row: live_alarms(row, *marks), MARKERS),
         ("markers alone, limit for clips", watched, MARKERS),
         ("witness alone, as live", lambda row: live_alarms(row, "imprint"), WITNESS),
@@ -65,8 +65,8 @@ def detectors(slips: Sequence[Row], holds: Sequence[Row], without: Mapping[str, 
     )
     cost = cost_ms([*(slip["row"] for slip in slips), *holds])
     return [
-        _detector(name, alarms, slips, holds) | {"ms": sum(cost[part][0] for part in parts)}
-        for name, alarms, parts in kinds
+        _detector(name, alarms, slips, holds) | {"ms": cost["whole"][0] - sum(cost[part][0] for part in lacks)}
+        for name, alarms, lacks in kinds
     ]
 
 
@@ -90,6 +90,23 @@ def _detector(name: str, alarms: Alarms, slips: Sequence[Row], holds: Sequence[R
         "by_length": [
             share([bool(alarms(row)) for row in holds if (row["frames_n"] < 450) == cut]) for cut in (True, False)
         ],
+    }
+
+
+def watched_for(slips: Sequence[Row], holds: Sequence[Row]) -> dict[str, Any]:
+    """How long the session's detector was armed: slides in time, held runs, and its alarms in 1,000 held frames."""
+    spans = [(row["live"] or {}).get("armed_frames", []) for row in holds]
+    alarms_n = sum(len(live_alarms(row, "markers", "stalled", "imprint")) for row in holds)
+    return {
+        "slides": sum(
+            any(
+                frame <= slip["label"]["lost"] - AHEAD_N
+                for frame in (slip["row"]["live"] or {}).get("armed_frames", ())
+            )
+            for slip in slips
+        ),
+        "held_runs": sum(map(bool, spans)),
+        "false_frames_per_1000": 1000 * alarms_n / max(1, sum(map(len, spans))),
     }
 
 

@@ -37,7 +37,7 @@ def figures(rows: Sequence[Row], labels: Row, evidence: Row) -> dict[str, Any]:
     return {
         "detectors": alarms.detectors(visible, holds, without["over"]),
         "cost_ms": alarms.cost_ms(rows),
-        "armed_runs_of_held": sum(bool(row["live"] and row["live"]["armed_frames"]) for row in holds),
+        "armed": alarms.watched_for(visible, holds),
         "stopped_for_other": share([bool(alarms.live_alarms(row, "other")) for row in holds]),
         "stalled_of_held": sum(bool(alarms.live_alarms(row, "stalled")) for row in holds),
         "refused_gels": sum(len(row["live"]["refused"]) for row in watched),

@@ -27,8 +27,9 @@ def slip_page(report: Row) -> str:
         """,
         _detection([*report["slip"].items(), *report["objects"].items()]),
         f"Motion onset from images has the exact frame in {100 * exact['exact']:.1f} % of {exact['n']} trials.",
-        f"The slip path of a finger (rectify, track, contact, slip, onset) takes {path['median']:.1f} ms of CPU per "
-        f"frame on one thread (95 %: {path['p95']:.1f}).",
+        f"Rectifying, tracking, contact, slip and onset of a finger take {path['median']:.1f} ms of CPU per frame on "
+        f"one thread (95 %: {path['p95']:.1f}). With touch, liveness and imprint, the whole slip path was timed "
+        "on [real grasps](real_grasps.md#what-a-finger-and-frame-costs).",
         "## Accuracy of the marker tracker",
         table(
             report["tracking"].items(),
