@@ -37,6 +37,7 @@ def figures(rows: Sequence[Row], labels: Row, evidence: Row) -> dict[str, Any]:
     return {
         "detectors": alarms.detectors(visible, holds, without["over"]),
         "cost_ms": alarms.cost_ms(rows),
+        "slowest_run_ms": max(row["live"]["cost_ms"]["whole"][0] for row in watched),
         "armed": alarms.watched_for(visible, holds),
         "stopped_for_other": share([bool(alarms.live_alarms(row, "other")) for row in holds]),
         "stalled_of_held": sum(bool(alarms.live_alarms(row, "stalled")) for row in holds),

@@ -36,11 +36,12 @@ def grasps_page(data: Row) -> str:
         95 % intervals (Clopper and Pearson).
         """,
         _notes(data, left_out),
-        """
+        f"""
         ## What a finger and frame costs
 
-        `TactileFinger.observe` as a whole, in ms: the median over the runs of each run's own percentiles. The whole is
-        CPU time; its parts are elapsed time on a shared machine, of which only medians say something.
+        A session's `observe`, rectification and witness included, in ms: the median over the runs of each run's own
+        percentiles. In the slowest run the median was {data["slowest_run_ms"]:.1f}. The whole is CPU time; its parts
+        are elapsed time on a busy machine, of which only medians say something.
         """,
         _costs(data["cost_ms"]),
         """

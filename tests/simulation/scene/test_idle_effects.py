@@ -81,3 +81,10 @@ def test_a_camera_that_is_to_lose_none_loses_none_whether_the_effect_is_on_or_of
 
 def test_every_effect_is_shown_on_with_nothing_to_do() -> None:
     assert set(IDLE) | set(STILL) | {"dropped_frames"} == {effect.key for effect in EFFECTS}
+
+
+def test_a_cell_that_asks_for_no_used_sensor_keeps_its_identity_and_its_seeds() -> None:
+    scene = load_scene("vitamin")
+    assert "used" not in scene.identity_json()
+    asked = [scene.varied(change) for change in ({"camera.used_share": 0.1}, {"effects.used_sensor": "on"})]
+    assert len({scene.sha256, *(one.sha256 for one in asked)}) == 3
