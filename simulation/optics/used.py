@@ -1,7 +1,9 @@
-"""What a used sensor shows and a new one does not, as measured on one raw frame of a GelSlim (2018/19).
+"""What a used sensor shows and a new one does not, after one raw frame of a GelSlim (2018/19).
 
-The frame was rectified by `calibrate`. Its dots were no more blurred than rendered ones (16 to 84 % of a rim: 1.3 px at
-the top, 2.0 px at the bottom; rendered 2.0 px), so a used sensor is not blurred further.
+The frame was rectified by `calibrate`. Measured on it: the light, the flares' colours, and how far dots are off their
+places and how pale. Set by eye: the flares' extents, and number, size and look of debris and glue. Its dots were no
+more blurred than rendered ones (16 to 84 % of a rim: 1.3 px at the top, 2.0 px at the bottom; rendered 2.0 px), so a
+used sensor is not blurred further.
 """
 
 import cv2

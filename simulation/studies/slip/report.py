@@ -44,8 +44,8 @@ def slip_page(report: Row) -> str:
         - **Wrong:** markers off by more than a quarter pitch. The renderer draws these in the wrong place: it cannot
           follow a gel whose displacement changes by two thirds of a pitch from one marker to the next.
         - **Tracked:** the share of markers with a reported position; some have left the frame.
-        - **Used sensor:** uneven light, flares, glue, debris and poor print, as measured on one raw frame of the
-          paper's sensor (`camera.used_share = 1`).
+        - **Used sensor:** uneven light, flares, glue, debris and poor print, after [one raw frame of the
+          paper's sensor](imprint.md#what-a-used-sensor-adds) (`camera.used_share = 1`).
         """,
         _origin(report["tracking"]),
         "[Real grasps](real_grasps.md) has the results on recordings of real sensors. "

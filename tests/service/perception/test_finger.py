@@ -1,5 +1,7 @@
 """One finger of a live session over a simulated clip: fingers that close on an object, hold it and open again."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.worlds import load_scene
 from tests.service import drawn
 
-FREE = np.zeros((20, 21, 3), np.float32)
+FREE, FREE_MINI = np.zeros((20, 21, 3), np.float32), np.zeros((7, 9, 3), np.float32)
 
 
 @pytest.mark.parametrize(("name", "noise"), [("circle", 2.0), ("white_box", 6.0)])
@@ -44,13 +46,19 @@ def test_a_raw_frame_of_the_rectified_size_is_rectified() -> None:
     """Both have one size on the GelSight Mini. Unrectified, two real fingers of one gel show different grids."""
     scene = load_scene("circle", camera__sensor="gelsight_mini")
     renderer = Renderer(Appearance.draw(scene, "left", 4))
-    sensor, raw = scene.sensor, renderer.raw(np.zeros((7, 9, 3), np.float32), 0)
+    sensor, raw = scene.sensor, renderer.raw(FREE_MINI, 0)
     assert raw.shape == sensor.rectified.shape
     finger = TactileFinger("left", sensor.rectified, renderer.calibration)
     observation = finger.observe(TactileFrame("left", 0, 0, raw))
     assert np.array_equal(observation.image, Rectifier(renderer.calibration).apply(raw))
     off_px = np.linalg.norm(observation.field.rest_px - sensor.marker_rest_px(), axis=-1)
     assert np.median(off_px) < 0.3
+    began_s = time.perf_counter()
+    parts_ms = finger.observe(TactileFrame("left", 1, 33_000_000, renderer.raw(FREE_MINI, 1))).cost_ms
+    whole_ms = 1e3 * (time.perf_counter() - began_s)
+    assert parts_ms.keys() == {"rectify", "markers", "slip", "imprint"}
+    assert min(parts_ms.values()) > 0.0
+    assert sum(parts_ms.values()) < whole_ms
     plain = TactileFinger("left", sensor.rectified).observe(TactileFrame("left", 0, 0, raw))
     assert plain.image is raw, "without a calibration the camera delivers rectified frames"
 
