@@ -255,3 +255,13 @@ def test_a_hold_ends_the_lease_with_the_descent():
     guide.hold()
     assert guide.advance(CYCLE_S, 9.0) == APPROACH
     assert State(PLAN).until_s == -math.inf
+
+
+@pytest.mark.parametrize(("expected_mm", "allowed"), [(6.1, True), (5.9, False)])
+def test_full_depth_less_its_tolerance_lies_below_the_tops(expected_mm, allowed):
+    plan = PLAN.model_copy(update={"expected_depth_mm": expected_mm, "depth_tolerance_mm": 1.0, "clearance_mm": 5.0})
+    if allowed:
+        plan.check()
+    else:
+        with pytest.raises(LimitError, match="still above the blocks"):
+            plan.check()

@@ -177,6 +177,18 @@ async def test_fingers_that_are_not_homed_close_on_nothing_and_homing_says_where
     assert width_mm == pytest.approx(110.0)
 
 
+@pytest.mark.parametrize(("homed", "closes"), [(True, True), (False, False)])
+async def test_fingers_close_before_homing_only_where_they_know_their_place(homed, closes):
+    async with bench(present=False, holding=False) as cell:
+        cell.board.update({"gripper": {"not_homed": not homed}})
+        await cell.started()
+        before_n = len(cell.emulator.counters.commands)
+        await cell.driver.home("default")
+        used = set(cell.emulator.counters.commands[before_n:])
+    assert "HOMING" in used
+    assert bool(used & {"GRASP", "MOVE"}) is closes
+
+
 SHIPPED = {"force_limit_n": 40.0, "grasp_speed_mm_s": 150.0, "grasp_width_mm": 40.0}
 ALLOWED = {"force_limit_n": "5 .. 80", "grasp_speed_mm_s": "5 .. 420", "grasp_width_mm": "0 .. 110"}
 

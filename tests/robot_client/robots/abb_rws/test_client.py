@@ -115,6 +115,15 @@ def test_what_keeps_a_program_from_being_started_is_found_before_it_is(state, sw
         assert started == (not refused) == bool(posted) == all(good)
 
 
+@pytest.mark.parametrize(("full", "ratio", "good"), [(False, "50", True), (True, "50", False), (True, "100", True)])
+def test_a_program_that_follows_the_speed_ratio_needs_all_of_it(full, ratio, good):
+    async def findings(client):
+        client.full_speed = full
+        return await client.findings()
+
+    assert asked(findings, {"speedratio": ratio})[4].good is good
+
+
 @pytest.mark.parametrize(("value", "on"), [("0", False), ("0.0", False), ("1.0", True), ("1", True)])
 def test_a_digital_signal_is_on_or_off(value, on):
     assert asked(lambda client: client.read_signal("di"), {"lvalue": value}) is on

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from service.perception.markers.field import MarkerField
-from service.perception.markers.fingerprint import OTHER_GEL, TELLING_N, fingerprint, fingerprint_of, likeness
+from service.perception.markers.fingerprint import (
+    OTHER_GEL,
+    TELLING_N,
+    check_fingerprint,
+    fingerprint,
+    fingerprint_of,
+    likeness,
+)
 from tests.service.perception.synthetic import grid
 
 ROWS, COLUMNS, PITCH_PX = 16, 18, 15.0
@@ -61,3 +68,22 @@ def test_a_fingerprint_holds_how_far_each_marker_is_off_the_grid_in_steps_of_fiv
     assert coded[:2].tolist() == [5, 6]
     assert (grid[0, 1].tolist(), grid[2, 3].tolist(), grid[4, 5].tolist()) == ([20, -10], [127, -127], [-128, -128])
     assert not np.delete(grid.reshape(30, 2), [1, 15, 29], 0).any()
+
+
+def test_a_print_has_the_same_fingerprint_at_any_size():
+    rest, shown = GEL.astype(np.float32), np.ones(GEL.shape[:2], np.bool_)
+    larger = MarkerField(2 * rest, np.zeros_like(rest), shown, None, 2 * PITCH_PX, 0)
+    values, doubled = (
+        np.frombuffer(base64.b64decode(text), np.int8)[2:].astype(int)
+        for text in (print_of(GEL), fingerprint_of(larger))
+    )
+    assert np.abs(values - doubled).max() <= 1, "a step of rounding"
+    spread = float(values.std()) * 0.005
+    assert spread == pytest.approx(0.3 / PITCH_PX, rel=0.15), "in pitches"
+
+
+@pytest.mark.parametrize("text", ["AQE=", "AQEA\nAA==", "AQEAAA", "grid"])
+def test_a_text_that_is_no_fingerprint_is_refused(text: str):
+    check_fingerprint("AQEAAA==")
+    with pytest.raises(ValueError, match="no fingerprint of a gel"):
+        check_fingerprint(text)
