@@ -101,9 +101,10 @@ def forget(module: str, by: dict[str, set[str]]) -> None:
             vars(sys.modules[package]).pop(last, None)
 
 
-def run(request: dict, output: int, by: dict[str, set[str]]) -> None:
-    """In the fork: the tests, their report into a file."""
+def run(request: dict, output: int, scratch: str, by: dict[str, set[str]]) -> None:
+    """In the fork: the tests, their report into a file, and what they leave into a folder."""
     os.setsid()  # a mutant may stop or kill its process group
+    os.environ["TMPDIR"], tempfile.tempdir = scratch, None
     os.dup2(output, 1)
     os.dup2(output, 2)
     sys.dont_write_bytecode = True
@@ -114,10 +115,10 @@ def run(request: dict, output: int, by: dict[str, set[str]]) -> None:
 
 
 def outcome(request: dict, by: dict[str, set[str]]) -> str:
-    with tempfile.TemporaryFile() as report:
+    with tempfile.TemporaryFile() as report, tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
         child = os.fork()
         if child == 0:
-            run(request, report.fileno(), by)
+            run(request, report.fileno(), scratch, by)
         waits = os.pidfd_open(child)
         ended, _, _ = select.select([waits], [], [], request["timeout_s"])
         os.close(waits)
