@@ -1,6 +1,7 @@
 """Two speeds in one descent, and no higher between attempts than the move needs: no bound in mm is given up for it."""
 
 import itertools
+import math
 from dataclasses import replace
 
 import pytest
@@ -217,3 +218,9 @@ def test_after_a_regrasp_the_arm_is_slow_where_the_tops_were_met():
     state = State(FAST.model_copy(update={"fixture": True}), attempt=2, armed=APPROACH, met=met)
     again = replace(state, reason="service: refused: turned_in_hand: x").afresh("second")
     assert State(again).tops == met
+
+
+@pytest.mark.parametrize("legs", [[], [(math.nan, 5.0)], [(10.0, 5.0), (3.0, 0.0)], [(math.inf, 5.0)], [(-1.0, 5.0)]])
+def test_legs_without_a_way_or_a_speed_are_refused(legs):
+    with pytest.raises(ValueError, match="expected finite ways and limits above 0"):
+        plan_legs(legs, 100.0, 2000.0)

@@ -205,6 +205,9 @@ def test_a_finger_learns_the_gel_that_it_was_calibrated_with_and_no_other(seed: 
         for shown in FINGERS:
             why = watch.learn_open(TactileFrame(finger, 1, 1, cameras[shown].raw(REST, 7)))
             assert ("swapped" in why) == (shown != finger), why
+            assert watch.gel_distance is not None
+            assert 0.0 <= watch.gel_distance <= 2.0
+            assert (watch.gel_distance < 0.2) == (shown == finger)
 
 
 @pytest.mark.parametrize("answer", [b"SSH-2.0-OpenSSH_9\r\n", b"HTTP/1.1 404 Not Found\r\n\r\n", b""])
