@@ -1,6 +1,7 @@
 """Commands that run the cell in real time: normally, or with deliberate faults."""
 
 import asyncio
+import json
 import sys
 
 import tyro
@@ -35,7 +36,9 @@ def motion_bounds(arguments: list[str]) -> int:
         rows = measure(options, lambda line: print(line, flush=True))
         broken = [row for row in rows if not row["held"]]
         if not (options.only or options.client):
-            data = {"rows": rows}
+            path = options.out / f"{bounds_report.NAME}.json"
+            known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+            data = known | {"rows": rows}  # what was measured at another speed stays
             print(publish(options.out, bounds_report.NAME, bounds_report.bounds_page(data), data))
         for row in broken:
             print(f"motion-bounds: does not hold: {row}", file=sys.stderr)
