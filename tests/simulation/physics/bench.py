@@ -19,6 +19,7 @@ from simulation.cell.emulators.abb.motion import Pose, tool_down
 from simulation.cell.live import LiveCell, Plant, bind_all
 from simulation.cell.options import CellOptions
 from simulation.scene.scene import APPROACH_MM
+from simulation.scene.worlds import load_scene
 
 GRASP_HEIGHT_MM = 30.0
 STATE = {
@@ -37,7 +38,7 @@ STATE = {
 class TwoLinePhysics:
     """The object follows the hand rigidly; deeper than the block tops off centre is contact."""
 
-    relaxes, tilt_rad = False, 0.0
+    relaxes, tilt_rad, scene = False, 0.0, load_scene("rectangle")
 
     def __init__(self):
         self.lost = self.broken = False
