@@ -140,4 +140,6 @@ def examine_cameras(settings: Settings, cameras: Sequence[wire.CameraEntry]) -> 
         with_commissioning(settings, make_plan(settings, 0.0, 0.0, "check", None), asked=asked).check_cameras(cameras)
     except ValueError as error:
         return Finding(False, str(error))
-    return Finding(True, "cameras fast enough" + (", gels as commissioned" if asked else ""))
+    timed = bool(cameras) and all(camera.frame_rate_hz is not None for camera in cameras)
+    fast = "cameras fast enough" if timed else "cameras: how fast they are is not known yet"
+    return Finding(True, fast + (", gels as commissioned" if asked else ""))

@@ -35,7 +35,7 @@ def motion_bounds(arguments: list[str]) -> int:
     def break_all() -> int:
         rows = measure(options, lambda line: print(line, flush=True))
         broken = [row for row in rows if not row["held"]]
-        if not (options.only or options.client):
+        if not (options.only or options.client or options.fps):
             path = options.out / f"{bounds_report.NAME}.json"
             known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
             data = known | {"rows": rows}  # what was measured at another speed stays

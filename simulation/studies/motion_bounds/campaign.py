@@ -1,7 +1,9 @@
 """Every fault in each of its phases, stored row by row, so that an interrupted campaign can resume."""
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +38,9 @@ def cases(only: str = "") -> list[tuple[Fault, Phase]]:
 
 def measure(options: BoundsOptions, tell: Callable[[str], None]) -> list[dict[str, Any]]:
     """All rows, in the order of the cases; raises ChildError if a cell cannot be started."""
-    asked, log = cases(options.only), options.runs / "rows.jsonl"
-    run = RunOptions(models=options.models, client=options.client, fps=options.fps)
+    asked, run = cases(options.only), RunOptions(models=options.models, client=options.client, fps=options.fps)
+    other = json.dumps([run.chosen(), run.fps], sort_keys=True) if run.client or run.fps else ""
+    log = options.runs / f"rows{other and '-' + sha256(other.encode()).hexdigest()[:8]}.jsonl"
     with added_rows(log) as add:
         done = {(row["fault"], row["phase"]): row for row in read_rows(log)}
         for fault, phase in asked:

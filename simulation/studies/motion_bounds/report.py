@@ -60,8 +60,10 @@ def _quicker(rows: Rows) -> Iterator[Any]:
         A client may be told to descend at 25 mm/s, all the way; with the sensor's 30 frames a second it refuses. With
         60 it was given a lease of {bound_mm:g} mm, 12 mm of air, and {len(rows)} of the faults above: cameras that
         stall, freeze, go black or are 300 ms late, a late link, and a service or client that stops for 1 s. {held_n}
-        hold, with {most:.2f} mm and {force_n:.1f} N at most.
+        hold, with {most:.2f} mm and {force_n:.1f} N at most. `make trust-live` leaves these rows as they are; they come
+        from `motion-bounds --fps 60 --client FILE --only FAULT --runs FOLDER` with these tables:
         """
+        yield _QUICK
         yield _table(rows)
 
 
@@ -75,6 +77,16 @@ def _table(rows: Rows) -> Any:
         ("how the client ended", lambda row: row["ended"] if row["injected"] else "ended before that phase"),
     )
 
+
+_QUICK = """
+```toml
+ramps.descend = { speed_mm_s = 25.0, acceleration_mm_s2 = 400.0, jerk_mm_s3 = 8000.0 }
+lease = { travel_mm = 2.5 }
+limits = { max_descent_speed_mm_s = 25.0 }
+pace = { fast_mm_s = 25.0, fast_travel_mm = 2.5 }
+task = { approach_clearance_mm = 12.0 }
+```
+"""
 
 _BEYOND = """
 ## What it cannot bound

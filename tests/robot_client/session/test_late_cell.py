@@ -66,6 +66,9 @@ def test_check_refuses_a_gel_with_which_the_cell_was_not_commissioned(tmp_path, 
     assert finding.good is good
     assert good or "the left gel is not the one" in finding.text
     assert examine_cameras(Settings(), cameras).good, "nothing to compare with"
+    assert "not known yet" in examine_cameras(Settings(), cameras).text
+    timed = [camera.model_copy(update={"frame_rate_hz": 60.0}) for camera in cameras]
+    assert examine_cameras(Settings(), timed).text == "cameras fast enough"
 
 
 def test_a_lateness_that_uses_up_the_lease_is_refused_with_the_speed_that_would_do():
