@@ -4,6 +4,7 @@ The first is what a session runs: markers or imprint, with its own settings, arm
 counts wherever the object is held. Each run counts by its first alarm.
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from statistics import median
 from typing import Any
@@ -17,6 +18,7 @@ Row = Mapping[str, Any]
 Alarms = Callable[[Row], Sequence[int]]
 
 LIVE, LEFT_OUT = "what runs live: markers or witness", "the same, witness fitted without the object"
+PUT_DOWN, SLIDING, RESTING = "put down", "sliding", "neither"
 EITHER, MARKERS, WITNESS = (), ("imprint",), ("slip",)  # parts of a session's perception that a detector lacks
 
 
@@ -35,11 +37,14 @@ def live_alarms(row: Row, *causes: str) -> list[int]:
     return sorted({frame for cause in causes for frame in live.get(f"{cause}_frames", ())})
 
 
-def detectors(slips: Sequence[Row], holds: Sequence[Row], without: Mapping[str, Sequence[int]]) -> list[dict[str, Any]]:
+def detectors(
+    slips: Sequence[Row], holds: Sequence[Row], labels: Row, without: Mapping[str, Sequence[int]]
+) -> list[dict[str, Any]]:
     """A row for each detector, what runs live first.
 
-    ``slips``: runs with a visible slide before a loss, each its "row" and "label". ``holds``: rows of held runs.
-    ``without``: frames in which a witness that never saw the object scores a slide.
+    ``slips``: runs with a visible slide before a loss, each its "row" and "label". ``holds``: rows of held runs, whose
+    ``labels`` say when they visibly slide and when they are put down. ``without``: frames in which a witness that never
+    saw the object scores a slide.
     """
     marks, every = ("markers", "stalled"), ("markers", "stalled", "imprint")
 
@@ -65,12 +70,12 @@ def detectors(slips: Sequence[Row], holds: Sequence[Row], without: Mapping[str, 
     )
     cost = cost_ms([*(slip["row"] for slip in slips), *holds])
     return [
-        _detector(name, alarms, slips, holds) | {"ms": cost["whole"][0] - sum(cost[part][0] for part in lacks)}
+        _detector(name, alarms, slips, holds, labels) | {"ms": cost["whole"][0] - sum(cost[part][0] for part in lacks)}
         for name, alarms, lacks in kinds
     ]
 
 
-def _detector(name: str, alarms: Alarms, slips: Sequence[Row], holds: Sequence[Row]) -> dict[str, Any]:
+def _detector(name: str, alarms: Alarms, slips: Sequence[Row], holds: Sequence[Row], labels: Row) -> dict[str, Any]:
     firsts = [min(alarms(slip["row"]), default=None) for slip in slips]
     ahead = [
         None if first is None or first > slip["label"]["lost"] - AHEAD_N else slip["label"]["lost"] - first
@@ -87,10 +92,19 @@ def _detector(name: str, alarms: Alarms, slips: Sequence[Row], holds: Sequence[R
         "early": early,
         "lead": percentiles(leads, 50, 5, 95),
         "false": share([bool(alarms(row)) for row in holds]),
+        "meant": dict(Counter(meant(min(alarms(row)), row["run"], labels) for row in holds if alarms(row))),
         "by_length": [
             share([bool(alarms(row)) for row in holds if (row["frames_n"] < 450) == cut]) for cut in (True, False)
         ],
     }
+
+
+def meant(alarm: int, run: str, labels: Row) -> str:
+    """What an alarm in a held run met, by the labels: that the object was put down, slid in the hand, or neither."""
+    down, slide = labels["set_down"].get(run), labels["held"].get(run, {}).get("slide")
+    if down is not None and alarm >= down:
+        return PUT_DOWN
+    return SLIDING if slide is not None and alarm >= slide else RESTING
 
 
 def watched_for(slips: Sequence[Row], holds: Sequence[Row]) -> dict[str, Any]:

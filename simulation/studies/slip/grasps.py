@@ -35,7 +35,7 @@ def figures(rows: Sequence[Row], labels: Row, evidence: Row) -> dict[str, Any]:
     without = witness.without_each_object(recorded)
     watched = [row for row in rows if row["live"]]
     return {
-        "detectors": alarms.detectors(visible, holds, without["over"]),
+        "detectors": alarms.detectors(visible, holds, labels, without["over"]),
         "cost_ms": alarms.cost_ms(rows),
         "slowest_run_ms": max(row["live"]["cost_ms"]["whole"][0] for row in watched),
         "armed": alarms.watched_for(visible, holds),
@@ -93,6 +93,7 @@ def _beside(row: Row, labels: Row) -> dict[str, Any]:
     return {
         "run": run,
         "slide": label["slide"],
+        "set_down": labels["set_down"].get(run),
         "lost": label["lost"] if slipped else label["emptied"],
         **{name: row[f"{name}_frame"] for name in ("contact", "hold", "slip")},
         "told_lost": row["lost_frame"],

@@ -75,4 +75,8 @@ def test_the_labels_of_real_runs_are_in_order():
         frames = [frame for frame in (label["contact"], label["slide"], label["lost"]) if frame is not None]
         assert frames == sorted(frames), run
         assert run.endswith("_slip")
-    assert all(run.endswith("_hold") for run in labels["held"])
+    assert all(run.endswith("_hold") for run in (*labels["held"], *labels["set_down"]))
+    for run in labels["held"].keys() & labels["set_down"].keys():
+        frames = [labels["held"][run]["slide"], labels["set_down"][run], labels["held"][run]["emptied"]]
+        known = [frame for frame in frames if frame is not None]
+        assert known == sorted(known), run

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulation.__main__ import main
-from simulation.studies.slip.alarms import share
+from simulation.studies.slip.alarms import meant, share
 from simulation.studies.slip.grasps import figures
 
 LABELS = {
@@ -17,6 +17,7 @@ LABELS = {
         "can_7_slip": {"contact": 13, "slide": 40, "lost": 60},
     },
     "held": {"box_5_hold": {"slide": None, "emptied": 90}},
+    "set_down": {"tin_4_hold": 75},
 }
 
 
@@ -99,6 +100,28 @@ def test_a_slide_that_nobody_watches_for_is_no_alarm_of_what_runs_live():
     assert left_out(range(32, 60)) == left_out(()) + 1
 
 
+@pytest.mark.parametrize(
+    ("alarm", "slide", "down", "met"),
+    [
+        (74, None, 75, "neither"),
+        (75, None, 75, "put down"),
+        (39, 40, 75, "neither"),
+        (40, 40, 75, "sliding"),
+        (75, 40, 75, "put down"),
+        (99, None, None, "neither"),
+    ],
+)
+def test_an_alarm_in_a_held_run_meets_what_its_labels_say(alarm, slide, down, met):
+    labels = {"held": {"tin_4_hold": {"slide": slide}}, "set_down": {} if down is None else {"tin_4_hold": down}}
+    assert meant(alarm, "tin_4_hold", labels) == met
+
+
+def test_what_alarms_in_held_runs_met_is_counted_by_the_first_of_each():
+    result = detectors(figures(rows(), LABELS, evidence()))
+    assert result["markers alone, as live"]["meant"] == {"neither": 1}, "it stops at 70, before 75"
+    assert result["witness alone, as live"]["meant"] == {"put down": 1}, "it stops at 80"
+
+
 def test_intervals_are_exact():
     assert share([True] * 3 + [False] * 63)["share"] == pytest.approx((0.0455, 0.0095, 0.1271), abs=1e-4)
     assert share([False] * 50)["share"] == pytest.approx((0.0, 0.0, 0.0711), abs=1e-4)
@@ -146,7 +169,7 @@ def test_the_page_is_written_from_rows_and_labels_and_refuses_a_part(tmp_path, c
     (tmp_path / "real_grasps.json").write_text(json.dumps({"note": "The worst of it."}))
     assert main(["grasps", *given]) == 0
     text = (tmp_path / "real_grasps.md").read_text()
-    assert "| box_2_slip | 40 | 60 | 20 | 30 | 58 | 70 | - | 56 | stalled | 4 |" in text
+    assert "| box_2_slip | 40 | - | 60 | 20 | 30 | 58 | 70 | - | 56 | stalled | 4 |" in text
     assert "it detects 1 of 3 visible slides" in " ".join(text.split())
     assert "worst of it" in text, "what was written by hand stays"
     (tmp_path / "rows.json").write_text(json.dumps(rows()[1:]))
