@@ -142,7 +142,8 @@ def test_the_approach_goes_up_over_and_down():
 
 
 @pytest.mark.parametrize(
-    ("held", "x_mm", "lifted_mm"), [(False, -20.0, 85.0), (True, -20.0, 85.0), (False, 8.1, 85.0), (True, 8.1, 45.0)]
+    ("held", "x_mm", "lifted_mm"),
+    [(False, -20.0, 85.0), (True, -20.0, 85.0), (False, 8.1, 85.0), (True, 8.1, 45.0), (True, 8.6, 85.0)],
 )
 def test_an_object_is_lifted_out_of_its_fixture_before_it_goes_over(held, x_mm, lifted_mm):
     """A gripper that knows of a part from before, as after a stop in the fixture, does not know where that was."""

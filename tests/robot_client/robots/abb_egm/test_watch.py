@@ -151,19 +151,23 @@ def test_a_stream_that_falls_behind_a_little_at_a_time_is_late_in_the_end():
         w.check(state(40, 0))
 
 
+@pytest.mark.parametrize("before_n", [0, 30])
 @pytest.mark.parametrize(("unreadable_n", "why"), [(24, "silent or frozen"), (25, "only unreadable ones came")])
-def test_why_no_datagram_counts_is_told_by_what_came_since_the_last_good_one(unreadable_n, why):
+def test_why_no_datagram_counts_is_told_by_what_came_since_the_last_good_one(unreadable_n, why, before_n):
     w = watch()
-    for _ in range(30):
+    for _ in range(before_n):
         w.bad("noise")
-    w.take(state(1, 4), 0.0)
+    if before_n:
+        w.take(state(1, 4), 0.0)
+    else:  # none has come yet
+        w.silence.heard(0.0)
     for _ in range(unreadable_n):
         w.bad("noise")
     for now_s in (0.1, 0.2, 0.25):
         w.check_silence(now_s)
     with pytest.raises(StreamFault, match=f"no new datagram for 260 ms: .*{why}"):
         w.check_silence(0.26)
-    assert w.bad_datagrams == 30 + unreadable_n
+    assert w.bad_datagrams == before_n + unreadable_n
 
 
 @pytest.mark.parametrize(("cycle_ms", "lost_n", "slow"), [(4, 0, False), (12, 0, False), (16, 0, True), (4, 5, False)])
