@@ -24,8 +24,10 @@ def main(arguments: Sequence[str]) -> int:
             stream.reconfigure(errors="backslashreplace")  # a run's name may contain letters that a terminal lacks
     cv2.setNumThreads(1)  # times per frame are those of one core
     folders = list(runs_of(options.folder))
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text("[]\n", encoding="utf-8")
+    for path, nothing in ((options.out, "[]"), (options.evidence, "{}")):
+        if path is not None:  # one that cannot be written is refused now, not after all runs
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(f"{nothing}\n", encoding="utf-8")
     rows, evidence, odd_n = [], {}, 0
     for name, folder in _named(folders, options.folder).items():
         try:

@@ -78,6 +78,13 @@ def test_a_folder_without_runs_is_refused_in_one_line(tmp_path, capsys):
     assert "expected runs, folders of one video a finger" in capsys.readouterr().err
 
 
+def test_a_file_that_cannot_be_written_is_refused_before_any_run_is_judged(tmp_path, capsys):
+    record(tmp_path / "runs" / "box_1_slip", (18, 38))
+    files = ["--json", str(tmp_path / "rows.json"), "--evidence", str(tmp_path)]
+    assert main(["judge", str(tmp_path / "runs"), *files]) == 2
+    assert capsys.readouterr().out == ""
+
+
 def test_pictures_without_markers_show_no_grasp_and_a_run_that_cannot_be_read_is_named(tmp_path, capsys):
     for run in ("black", "unreadable"):
         (tmp_path / run).mkdir()
