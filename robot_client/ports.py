@@ -27,12 +27,14 @@ class DriverError(ValueError):
 class DeviceSettings(Contract):
     """The table of a device in the configuration; ``device`` names its line in :mod:`robot_client.devices`.
 
-    ``variables``: environment variables that replace keys of the table, each with the path to its key. ``pauses``, of
-    an arm: its driver can let a descent stop and go on (:meth:`Arm.move`). ``hosts``: those that it is reached at; None
-    if it does not say, and then it belongs to no simulated cell.
+    ``variables``: environment variables that replace keys of the table, each with the path to its key. ``grip_key``, of
+    a gripper: the key with the force of its fingers in N, "" if it cannot be set; a finding about it begins with it.
+    ``pauses``, of an arm: its driver can let a descent stop and go on (:meth:`Arm.move`). ``hosts``: those that it is
+    reached at; None if it does not say, and then it belongs to no simulated cell.
     """
 
     variables: ClassVar[dict[str, tuple[str, ...]]] = {}
+    grip_key: ClassVar[str] = ""
     pauses: ClassVar[bool] = False
     device: str
 

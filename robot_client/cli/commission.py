@@ -2,19 +2,18 @@
 
 import asyncio
 import time
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from robot_client.cli.insert import fixture_of, live_ports, make_plan
 from robot_client.cli.terminal import Outcome, rehearsed, show, show_steps, stop_on_signals, warning
 from robot_client.insertion.events import Event, FromService
 from robot_client.insertion.state import Phase, Plan, State
-from robot_client.ports import DriverError
+from robot_client.ports import DriverError, Gripper
 from robot_client.session.commission.kept_gripper import KeptGripper
 from robot_client.session.commission.lateness import MOST_N, PLACE, slow_and_fast
 from robot_client.session.commission.record import RECORD, Record, read_record
-from robot_client.session.commission.run import FITS, PRESSES, REACH, Commissioning, Ended, errors
+from robot_client.session.commission.run import FITS, PRESSES, REACH, Commissioning, Ended, errors, second_grip_n
 from robot_client.session.commission.wiring import SIDES, probe_of
 from robot_client.session.cycle import CycleSettings, is_empty
 from robot_client.session.recorder import Recorder, check_takes_files
@@ -28,10 +27,10 @@ from service.contract.refusals import reason
 RATE_HZ = 30.0  # of cameras that have not told theirs
 
 
-def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out: Path, presses: bool) -> Outcome:
-    """Probe ``probes_n`` times to learn from, first for signs; done if no mistake was named. Raises DriverError.
+def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out: Path, one_grip: bool) -> Outcome:
+    """Probe ``probes_n`` times, first for signs; done if no mistake was named. Raises DriverError.
 
-    ``presses``: also press until the gel slides, see `Commissioning`.
+    ``one_grip``: press until the gel slides at the set grip alone, see `Commissioning`.
     """
     taught = settings.cycle
     if taught is None:
@@ -44,7 +43,8 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
     if live:
         check_takes_files(out)
     show(warning(live=live, simulated=settings.simulated))
-    steps = _steps(probes_n, path, record, presses=presses)
+    grips_n = grips_of(settings, one_grip=one_grip)
+    steps = _steps(probes_n, path, record, grips_n)
     if not live:
         return rehearsed("would:", steps)
     if record is None:
@@ -52,16 +52,38 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
     elif record.named:
         raise SettingsError(f"{path} names mistakes; mend them and remove it: {'; '.join(record.named)}")
     show_steps(f"will, after it has opened the empty fingers to {taught.open_mm:g} mm:", steps)
-    return asyncio.run(_commission(Probing(settings, taught, out), probes_n, path, record, presses=presses))
+    return asyncio.run(_commission(Probing(settings, taught, out), probes_n, path, record, grips_n))
 
 
-def _steps(probes_n: int, path: Path, record: Record | None, *, presses: bool) -> list[str]:
-    done_n = len(SIDES) if record is None else max(len(SIDES), record.labelled_n)
+def grips_of(settings: Settings, *, one_grip: bool) -> list[float | None]:
+    """The grips to press at, N, the set one first; None where the gripper's force cannot be set."""
+    key = settings.gripper.grip_key
+    if not key:
+        return [None]
+    own_n = float(getattr(settings.gripper, key))
+    return [own_n] if one_grip else [own_n, second_grip_n(own_n)]
+
+
+def with_grip(settings: Settings, grip_n: float | None) -> Settings:
+    """The same cell with another grip; a measured force of the fingers is taken to change by as much."""
+    if grip_n is None:
+        return settings
+    key, task = settings.gripper.grip_key, settings.task
+    share = grip_n / float(getattr(settings.gripper, key))
+    measured_n = None if task.grip_n is None else share * task.grip_n
+    gripper = settings.gripper.model_copy(update={key: grip_n})
+    return settings.model_copy(update={"gripper": gripper, "task": task.model_copy(update={"grip_n": measured_n})})
+
+
+def _steps(probes_n: int, path: Path, record: Record | None, grips_n: Sequence[float | None]) -> list[str]:
+    first_n = len(SIDES) + len(PRESSES) * len(grips_n)
+    done_n = first_n if record is None else max(first_n, record.done_n)
+    grips = " and ".join(f"{grip_n:g} N" for grip_n in grips_n if grip_n)
     return [
         "put the object into the fixture and regrasp it, before each probe",
         f"probe at {_places(SIDES)}: are the signs right?",
         f"press 7 to {MOST_N} times at {_places((PLACE,))}, at two speeds: how late are pictures and arm?",
-        *([f"press at {_places(PRESSES)} until the gel slides"] if presses else []),
+        f"press at {_places(PRESSES)} until the gel slides" + (f", at {grips}" if grips else ""),
         f"{max(0, probes_n - done_n)} more probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
         f"keep what was seen in {path} after each",
     ]
@@ -78,6 +100,7 @@ class Felt:
         self.answer: wire.Correction | wire.NoDecision | None = None
         self.gels: dict[Finger, str] = {}
         self.rates_hz: tuple[float, ...] = ()
+        self.slid_mm: float | None = None
 
     def on_event(self, state: State, event: Event) -> None:  # noqa: ARG002 the protocol's signature
         if not isinstance(event, FromService):
@@ -85,6 +108,8 @@ class Felt:
         if isinstance(event.message, wire.ServiceHello):
             self.gels = {camera.finger: camera.gel for camera in event.message.cameras}
             self.rates_hz = tuple(camera.frame_rate_hz for camera in event.message.cameras if camera.frame_rate_hz)
+        if isinstance(event.message, wire.Slip):
+            self.slid_mm = event.message.pressed_mm
         if isinstance(event.message, wire.Correction | wire.NoDecision):
             self.answer = event.message
 
@@ -101,20 +126,44 @@ class Probing:
         self._rate_hz, self._kept = RATE_HZ, KeptGripper(settings.make_gripper())
         self.late_s: Callable[[], float | None] = lambda: None  # as far as it is measured
 
-    async def probe(self, x_mm: float, theta_deg: float, *, until_slip: bool = False) -> Ended:
-        plan = make_plan(self._settings, x_mm, theta_deg, None, None)
-        how = {"purpose": "probe", "until_slip": until_slip, "lease": plan.lease.late_by(self.late_s())}
-        return await self._run(plan.model_copy(update=how))
+    async def probe(self, x_mm: float, theta_deg: float) -> Ended:
+        return await self._run(self._probed(self._settings, x_mm, theta_deg), self._settings.make_gripper())
+
+    async def press(self, grip_n: float | None, x_mm: float, theta_deg: float) -> Ended:
+        """A probe that goes on until the gel slides, with this grip."""
+        gripping = with_grip(self._settings, grip_n)
+        plan = self._probed(gripping, x_mm, theta_deg).model_copy(update={"until_slip": True})
+        ended = await self._run(plan, gripping.make_gripper())
+        return ended._replace(probe=ended.probe.model_copy(update={"grip_n": grip_n}))
 
     async def press_at(self, x_mm: float, theta_deg: float, fast: bool) -> Ended:
         plan = make_plan(self._settings, x_mm, theta_deg, None, None)
         return await self._run(slow_and_fast(plan, self._rate_hz)[fast], self._kept)
 
-    async def _run(self, plan: Plan, kept: KeptGripper | None = None) -> Ended:
+    async def allowed(self, grips_n: Sequence[float | None]) -> list[float | None]:
+        """Those of the grips that the gripper allows; says which it does not. Moves nothing, raises DriverError."""
+        kept = list(grips_n)
+        for grip_n in grips_n[1:]:
+            gripper = with_grip(self._settings, grip_n).make_gripper()
+            try:
+                findings = [finding for read in gripper.checks().values() for finding in await read()]
+            finally:
+                await to_the_end(gripper.close())
+            for finding in findings:
+                if not finding.good and finding.text.startswith(self._settings.gripper.grip_key):
+                    show(f"PRESSES AT ONE GRIP ONLY: {finding.text}")
+                    kept.remove(grip_n)
+        return kept
+
+    def _probed(self, settings: Settings, x_mm: float, theta_deg: float) -> Plan:
+        plan = make_plan(settings, x_mm, theta_deg, None, None)
+        return plan.model_copy(update={"purpose": "probe", "lease": plan.lease.late_by(self.late_s())})
+
+    async def _run(self, plan: Plan, gripper: Gripper) -> Ended:
         felt, watch = Felt(), StopWatch()
         log = Recorder(self._out / "episodes" / f"{plan.insertion_id}.jsonl", plan)
-        arm, gripper, service = live_ports(self._settings, plan)
-        runner = Runner(plan, arm, kept or gripper, service, log, (felt, watch), self._settings.simulated)
+        arm, _, service = live_ports(self._settings, plan)
+        runner = Runner(plan, arm, gripper, service, log, (felt, watch), self._settings.simulated)
         state = await runner.run()
         if state.phase is not Phase.PROBED:
             show(f"  robot: {runner.farewell}")
@@ -124,6 +173,8 @@ class Probing:
         done = probe_of(plan.insertion_id, plan.approach, felt.answer)
         if watch.stop:
             done = done.model_copy(update={"below_mm": watch.stop.touch_mm - plan.clearance_mm})
+        if plan.until_slip:
+            done = done.model_copy(update={"slid_mm": felt.slid_mm})
         return Ended(done, state.phase, state.reason, felt.gels, watch.stop)
 
     async def begin(self) -> None:
@@ -146,15 +197,18 @@ class Probing:
         await fixture.put_back()
 
 
-async def _commission(probing: Probing, probes_n: int, path: Path, record: Record, *, presses: bool) -> Outcome:
+async def _commission(
+    probing: Probing, probes_n: int, path: Path, record: Record, grips_n: Sequence[float | None]
+) -> Outcome:
     stop_on_signals()
     draw = errors(record.seed, *REACH, FITS)
-    press = partial(probing.probe, until_slip=True) if presses else None
-    running = Commissioning(path, record, probing.probe, probing.fetch, draw, show, press, probing.press_at)
+    press, press_at = probing.press, probing.press_at
+    running = Commissioning(path, record, probing.probe, probing.fetch, draw, show, press, press_at=press_at)
     probing.late_s = lambda: running.record.late_s
     why = ""
     try:
         await probing.begin()
+        running.grips_n = await probing.allowed(grips_n)
         record = await running.run(probes_n)
     except (ValueError, OSError) as error:
         record, why = running.record, reason(error)
@@ -165,12 +219,12 @@ async def _commission(probing: Probing, probes_n: int, path: Path, record: Recor
         show(f"MISTAKE  {cause}")
     if record.late_s is not None:
         show(f"pictures and arm are late by at most {record.late_s * 1e3:.0f} ms together; `insert` reckons with that")
-    if record.labelled_n >= probes_n and not why:
-        show(f"{record.labelled_n} probes done. The service's recordings hold them; to learn from them:")
+    if record.done_n >= probes_n and not why:
+        show(f"{record.done_n} probes done. The service's recordings hold them; to learn from them:")
         show(f"  python -m training adapt RECORDINGS --record {path} --from models/pressing/checkpoint.pt")
     kept = _kept(path)
     show(f"record: {kept or 'none, no probe was completed'}")
-    result = {"named": list(record.named), "probes": record.labelled_n, "record": kept, "reason": why}
+    result = {"named": list(record.named), "probes": record.done_n, "record": kept, "reason": why}
     return Outcome(not record.named and not why, result)
 
 

@@ -117,9 +117,14 @@ def _mode(parser: argparse.ArgumentParser) -> None:
 
 def _commissioning(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--probes", type=int, default=150, metavar="N", help="probes to learn from, four of wiring included (150)"
+        "--probes",
+        type=int,
+        default=150,
+        metavar="N",
+        help="probes in all, with those of wiring and the presses (150)",
     )
-    parser.add_argument("--presses", action="store_true", help="also press until the gel slides, to identify it")
+    text = "press at the set grip alone, not also at half or twice of it: for a part that would fall, or break"
+    parser.add_argument("--one-grip", action="store_true", help=text)
     parser.add_argument("--seed", type=int, default=0, help="seed of a new record's known errors (default 0)")
     parser.add_argument(
         "--out", type=Path, default=Path("runs/commissioning"), help="folder of the record (%(default)s)"
@@ -181,7 +186,7 @@ def _on_cell(args: argparse.Namespace, settings: Settings) -> Outcome:
             raise ValueError(f"--probes {args.probes}: expected 0 or more")
         if args.seed < 0:
             raise ValueError(f"--seed {args.seed}: expected 0 or more")
-        how = {"probes_n": args.probes, "presses": args.presses, "seed": args.seed, "out": args.out}
+        how = {"probes_n": args.probes, "one_grip": args.one_grip, "seed": args.seed, "out": args.out}
         return commission(settings, live=args.live, **how)
     if args.command == "cycle":
         if args.parts is not None and args.parts < 1:

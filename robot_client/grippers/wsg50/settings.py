@@ -1,6 +1,6 @@
 """The WSG-50's table of the configuration: ``[gripper]``."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -10,6 +10,7 @@ from robot_client.ports import DeviceSettings
 class Settings(DeviceSettings):
     """Address of the gripper and its grasp. Ranges are checked against the gripper's own limits (0x53)."""
 
+    grip_key: ClassVar[str] = "force_limit_n"
     device: Literal["wsg50"] = "wsg50"
     host: str = "192.168.1.20"
     port: int = Field(default=1000, ge=0, le=65535)

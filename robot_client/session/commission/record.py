@@ -18,7 +18,8 @@ RECORD = "commissioning.json"
 class Record(Contract):
     """A stored commissioning. ``seed`` determines the errors of all probes, ``named`` are mistakes of the cell.
 
-    ``gels`` are those of its first probe, by the service's names. ``presses`` continued until the gel slid.
+    ``gels`` are those of its first probe, by the service's names. ``presses`` continued until the gel slid, two at each
+    grip.
     ``timed`` are the presses at two speeds. ``sha256`` covers all other fields as written.
     """
 
@@ -38,6 +39,11 @@ class Record(Contract):
     def labelled_n(self) -> int:
         """Number of probes to learn from: those of the wiring check have a known error like the others."""
         return len(self.signs) + len(self.probes)
+
+    @property
+    def done_n(self) -> int:
+        """Number of probes in all, each in a grasp of its own: those to learn from, and the presses."""
+        return self.labelled_n + len(self.presses)
 
     @property
     def late_s(self) -> float | None:

@@ -8,7 +8,7 @@ commissioning resumes: at most the probe under way is lost.
 import asyncio
 import random
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,8 @@ from service.contract.frames import Finger
 
 PRESSES = ((0.0, 15.0), (0.0, -15.0))
 """Errors of the presses that identify the gel: a turned object lies on both blocks and is pushed straight up."""
+GRIP_TO_HALVE_N = 20.0
+"""From this grip on, the other grip of the presses is half of it, else twice."""
 REACH = (15.0, 15.0)
 """Largest errors of probes to learn from: the training range of the released networks."""
 FITS = (2.5, 3.0)
@@ -59,13 +61,18 @@ def errors(seed: int, x_mm: float, theta_deg: float, fits: tuple[float, float]) 
     return of
 
 
+def second_grip_n(grip_n: float) -> float:
+    """The other grip of the presses: half of the cell's own, or twice a light one."""
+    return 0.5 * grip_n if grip_n >= GRIP_TO_HALVE_N else 2.0 * grip_n
+
+
 @dataclass(slots=True)
 class Commissioning:
     """Carries out the commissioning. ``probe`` is one probe from the arm's present pose, ``fetch`` regrasps the object.
 
-    ``press`` is a probe that goes on until the gel slides; None: no presses. ``press_at`` is a slow or fast
-    probe (True), the object held from before; None: the lateness is not measured. ``path`` is the record's;
-    its probes are not repeated.
+    ``press`` is a probe that goes on until the gel slides, with one of ``grips_n`` (N, None: as set; none: no presses).
+    ``press_at`` is a slow or fast probe (True), the object held from before; None: the lateness is not measured.
+    ``path`` is the record's; its probes are not repeated.
     """
 
     path: Path
@@ -74,12 +81,13 @@ class Commissioning:
     fetch: Callable[[], Awaitable[None]]
     draw: Callable[[int], tuple[float, float]]
     show: Callable[[str], None]
-    press: Callable[[float, float], Awaitable[Ended]] | None = None
+    press: Callable[[float | None, float, float], Awaitable[Ended]] | None = None
+    grips_n: Sequence[float | None] = ()
     press_at: Callable[[float, float, bool], Awaitable[Ended]] | None = None
     _began_s: float = field(default_factory=time.monotonic)
 
     async def run(self, probes_n: int) -> Record:
-        """Wiring check first; if it fails nothing else is done. Its four probes are the first of ``probes_n``.
+        """Wiring check first; if it fails nothing else is done. Its four probes and the presses are of ``probes_n``.
 
         Raises DriverError if the cell fails or is stopped.
         """
@@ -92,13 +100,15 @@ class Commissioning:
             self._keep(named=mistakes(self.record.signs))  # an older record may have been cut off before them
             if self.press_at and not self.record.named and self.record.late_s is None:
                 self._keep(timed=await self._timed(self.press_at))
-            while self.press and not self.record.named and len(self.record.presses) < len(PRESSES):
+            presses = [(*place, grip_n) for grip_n in self.grips_n for place in PRESSES]
+            while self.press and not self.record.named and len(self.record.presses) < len(presses):
                 number = len(self.record.presses)
-                title = f"press {number + 1} of {len(PRESSES)}"
-                done = await self._probe(title, *PRESSES[number], self.press)
+                x_mm, theta_deg, grip_n = presses[number]
+                title = f"press {number + 1} of {len(presses)}" + (f" at {grip_n:g} N" if grip_n else "")
+                done = await self._probe(title, x_mm, theta_deg, partial(self.press, grip_n))
                 self._keep(presses=(*self.record.presses, done))
-            while not self.record.named and self.record.labelled_n < probes_n:
-                title = f"probe {self.record.labelled_n + 1} of {probes_n}{self._left(probes_n)}"
+            while not self.record.named and self.record.done_n < probes_n:
+                title = f"probe {self.record.done_n + 1} of {probes_n}{self._left(probes_n)}"
                 done = await self._probe(title, *self.draw(len(self.record.probes)))
                 self._keep(probes=(*self.record.probes, done))
         except asyncio.CancelledError:
@@ -143,6 +153,8 @@ class Commissioning:
             self.show(f"{title}: nothing is learnt in this grasp: {felt}")
         if done.estimate_x_mm is not None and done.estimate_theta_deg is not None:
             felt = f"felt {done.estimate_x_mm:+.1f} mm, {done.estimate_theta_deg:+.1f} deg"
+        if done.slid_mm is not None:
+            felt += f"; slid once pressed by {done.slid_mm:.1f} mm"
         self.show(f"{title}: {x_mm:+.1f} mm, {theta_deg:+.1f} deg; {felt}")
         return done
 
@@ -169,7 +181,7 @@ class Commissioning:
         return ended
 
     def _left(self, probes_n: int) -> str:
-        done_n = self.record.labelled_n
+        done_n = self.record.done_n
         if done_n <= len(SIDES):
             return ""
         left_s = (time.monotonic() - self._began_s) / done_n * (probes_n - done_n)

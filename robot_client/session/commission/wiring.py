@@ -22,6 +22,8 @@ class Probe(Contract):
 
     ``turns_deg``: turn of the object as seen by the left and the right finger, clockwise in their pictures.
     ``below_mm``: how far below the taught tops of the blocks it touched, as it seems; what is late makes it more.
+    ``grip_n`` and ``slid_mm``, of a press until slip: the set force of the fingers, None if it cannot be set; and how
+    far it had pressed when the gel slid, None if it did not or no contact is known.
     """
 
     x_mm: float
@@ -32,6 +34,8 @@ class Probe(Contract):
     sigma_theta_deg: float | None = None
     turns_deg: tuple[float, float] | None = None
     below_mm: float | None = None
+    grip_n: float | None = None
+    slid_mm: float | None = None
     said: str = ""
     insertion_id: str
 

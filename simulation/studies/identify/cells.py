@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from robot_client.session.commission.run import PRESSES
+from robot_client.session.commission.run import PRESSES, second_grip_n
 from robot_client.session.commission.wiring import SIDES
 from service.contract import ContractError
 from simulation.closed_loop.job import job_in
@@ -31,7 +31,6 @@ SAVES: Mapping[Play, Mapping[str, Any]] = {
 only other cells calibrate intervals. The arm of both starts closer above the tops.
 """
 CLOSER_MM = 2.0
-GRIP_TO_HALVE_N = 20.0
 
 
 @dataclass(frozen=True)
@@ -54,11 +53,6 @@ class Cell:
         mass_kg = round(math.exp(float(rng.uniform(math.log(0.05), math.log(0.6)))), 3)
         body = {"shape": "rectangle", "size_x_mm": size[0], "size_y_mm": size[1], "mass_kg": mass_kg}
         return {**tables, "object": body}
-
-
-def second_grip_n(grip_n: float) -> float:
-    """The other grip of presses: half of the cell's own, or twice a light one."""
-    return 0.5 * grip_n if grip_n >= GRIP_TO_HALVE_N else 2.0 * grip_n
 
 
 def pressed(cell: Cell) -> dict[str, Any]:

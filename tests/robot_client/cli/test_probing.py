@@ -5,20 +5,26 @@ from types import SimpleNamespace
 
 import pytest
 
-from robot_client.cli.commission import Probing, _commission
+from robot_client.cli.commission import Probing, _commission, grips_of, with_grip
 from robot_client.grippers.dry_run.driver import DryGripper
+from robot_client.grippers.dry_run.driver import Settings as DryGripperSettings
+from robot_client.grippers.wsg50.settings import Settings as Wsg50Settings
 from robot_client.insertion.events import Standstill
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.state import State
+from robot_client.insertion.state import Phase, State
 from robot_client.ports import DriverError
 from robot_client.robots.dry_run.driver import DryArm
 from robot_client.robots.dry_run.driver import Settings as DryRun
 from robot_client.session.commission.record import RECORD, Record, keep_record
+from robot_client.session.commission.run import Ended
+from robot_client.session.commission.wiring import probe_of
 from robot_client.session.cycle import CycleSettings
 from robot_client.session.travel import Errands
-from robot_client.settings import Settings
+from robot_client.settings import Settings, Task
 from service.contract import wire
 from tests.robot_client.insertion.stories import APPROACH, ID, PLAN, TO_DESCENT, at, run, service
+from tests.robot_client.live_cell import Part, bench, undisturbed
+from tests.robot_client.session.test_lateness import SLIPPED
 
 REAL = Settings(cycle=CycleSettings(pick=WorkPose(x_mm=-20.0, y_mm=5.0, z_mm=45.0, yaw_deg=0.0), open_mm=80.0))
 
@@ -102,30 +108,83 @@ def test_only_a_record_that_exists_is_named(tmp_path, monkeypatch, begun_before)
     path, record = tmp_path / RECORD, Record(begun="2026-01-01T00:00:00", seed=0, object="rectangle")
     if begun_before:
         keep_record(path, record)
-    ended = asyncio.run(_commission(Probing(settings, REAL.cycle, tmp_path), 4, path, record, presses=False))
+    ended = asyncio.run(_commission(Probing(settings, REAL.cycle, tmp_path), 4, path, record, [None]))
     assert not ended.done
     assert ended.result["record"] == (str(path) if begun_before else None)
     assert lines[-1] == f"record: {path if begun_before else 'none, no probe was completed'}"
 
 
-@pytest.mark.parametrize("until_slip", [True, False])
 @pytest.mark.parametrize(("late_s", "counts_s"), [(None, 0.04), (0.18, 0.18)])
-def test_a_probe_reckons_with_the_lateness_as_soon_as_it_is_known(tmp_path, monkeypatch, until_slip, late_s, counts_s):
+def test_a_probe_reckons_with_the_lateness_as_soon_as_it_is_known(tmp_path, monkeypatch, late_s, counts_s):
     plans = []
 
-    async def run(_self, plan, _kept=None):
+    async def run(_self, plan, _gripper):
         plans.append(plan)
+        return Ended(probe_of("p", plan.approach, None), Phase.PROBED, "", {})
 
     monkeypatch.setattr(Probing, "_run", run)
     probing = Probing(REAL, REAL.cycle, tmp_path)
     probing.late_s = lambda: late_s
-    asyncio.run(probing.probe(8.0, 8.0, until_slip=until_slip))
-    asyncio.run(probing.press_at(8.0, 8.0, fast=True))
-    assert [plan.lease.stop_lag_s for plan in plans] == [counts_s, 0.04], "the press that measures it presumes nothing"
+    for ends in (probing.probe(8.0, 8.0), probing.press(20.0, 0.0, 15.0), probing.press_at(8.0, 8.0, fast=True)):
+        asyncio.run(ends)
+    assert [plan.lease.stop_lag_s for plan in plans] == [counts_s, counts_s, 0.04], "the press that measures it"
+    assert [plan.until_slip for plan in plans] == [False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("set_n", "one_grip", "grips_n"), [(40.0, False, [40.0, 20.0]), (15.0, False, [15.0, 30.0]), (40.0, True, [40.0])]
+)
+def test_presses_are_made_at_two_grips_one_twice_the_other(set_n, one_grip, grips_n):
+    settings = REAL.model_copy(update={"gripper": Wsg50Settings(force_limit_n=set_n), "task": Task(grip_n=0.5 * set_n)})
+    assert grips_of(settings, one_grip=one_grip) == grips_n
+    pressed = with_grip(settings, grips_n[-1])
+    assert pressed.gripper == Wsg50Settings(force_limit_n=grips_n[-1])
+    assert pressed.task == Task(grip_n=0.5 * grips_n[-1]), "a measured force changes by as much"
+    assert settings.task.grip_n == 0.5 * set_n
+    assert grips_of(REAL.model_copy(update={"gripper": DryGripperSettings()}), one_grip=False) == [None]
+
+
+class Grips(Part):
+    """A part that notes each force that it is gripped with."""
+
+    def __init__(self):
+        super().__init__()
+        self.forces_n = []
+
+    def gripped(self, force_n):
+        self.forces_n.append(force_n)
+
+
+async def pressed_live(tmp_path):
+    part, taught = Grips(), REAL.cycle.model_dump()
+    async with bench(part=part, holding=False, overrides={"cycle": taught, "task": {"grip_n": 30.0}}) as cell:
+        probing = Probing(cell.settings, cell.settings.cycle, tmp_path)
+        allowed = [await probing.allowed(grips_n) for grips_n in ((40.0, 20.0), (40.0, 100.0), (40.0,))]
+        presses = []
+        for grip_n in (40.0, 20.0):
+            presses.append(await probing.press(grip_n, 0.0, 15.0))
+            await probing.fetch()
+        arms = [message for message in cell.service.received if isinstance(message, wire.Arm)]
+    return part, allowed, presses, arms
+
+
+def test_a_press_grips_and_tells_the_service_what_was_asked_over_real_sockets(tmp_path, monkeypatch):
+    lines = []
+    monkeypatch.setattr("robot_client.cli.commission.show", lines.append)
+    part, allowed, presses, arms = undisturbed(lambda: pressed_live(tmp_path))
+    assert [round(force_n) for force_n in part.forces_n] == [40, 20]
+    assert [(message.until_slip, message.grip_n) for message in arms] == [(True, 30.0), (True, 15.0)]
+    assert [(ended.phase, ended.probe.grip_n) for ended in presses] == [(Phase.PROBED, 40.0), (Phase.PROBED, 20.0)]
+    assert allowed == [[40.0, 20.0], [40.0], [40.0]]
+    assert [line for line in lines if "AT ONE GRIP ONLY" in line] == [
+        "PRESSES AT ONE GRIP ONLY: force_limit_n = 100, this gripper allows 5 .. 80"
+    ]
 
 
 def test_a_probe_tells_how_far_below_the_taught_tops_it_touched(tmp_path, monkeypatch):
     """By what the service felt of the press, when it ordered the stop, and by where the arm stood."""
+
+    order = wire.Enough(insertion_id=ID, attempt=1, frame_seq=3, captured_ns=30_000_000, pressed_mm=0.8)
 
     class Played:
         farewell = ""
@@ -136,7 +195,6 @@ def test_a_probe_tells_how_far_below_the_taught_tops_it_touched(tmp_path, monkey
 
         async def run(self):
             state = State(self.plan)
-            order = wire.Enough(insertion_id=ID, attempt=1, frame_seq=3, captured_ns=30_000_000, pressed_mm=0.8)
             still = at(APPROACH.at_height(APPROACH.z_mm - 7.5), Standstill)
             for event in (*TO_DESCENT, service(order, 0.05), still):
                 state, _ = run([event], state)
@@ -148,5 +206,10 @@ def test_a_probe_tells_how_far_below_the_taught_tops_it_touched(tmp_path, monkey
     monkeypatch.setattr("robot_client.cli.commission.Runner", Played)
     monkeypatch.setattr("robot_client.cli.commission.live_ports", lambda *_: (None,) * 3)
     plan = PLAN.model_copy(update={"purpose": "probe"})
-    ended = asyncio.run(Probing(REAL, REAL.cycle, tmp_path)._run(plan))
+    ended = asyncio.run(Probing(REAL, REAL.cycle, tmp_path)._run(plan, DryGripper()))
     assert ended.probe.below_mm == pytest.approx(7.5 - 0.8 - 10.0 * 0.02 - plan.clearance_mm, abs=0.01)
+    assert ended.probe.slid_mm is None
+    order = SLIPPED
+    for until_slip, slid_mm in ((True, 0.8), (False, None)):
+        asked = plan.model_copy(update={"insertion_id": str(until_slip), "until_slip": until_slip})
+        assert asyncio.run(Probing(REAL, REAL.cycle, tmp_path)._run(asked, DryGripper())).probe.slid_mm == slid_mm

@@ -1,0 +1,71 @@
+"""The record of a commissioning, which `insert --live` demands: one that was edited or cut off is refused."""
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_client.cli.insert import with_commissioning
+from robot_client.insertion.lease import Lease
+from robot_client.session.commission.record import Record, keep_record, read_record
+from robot_client.settings import Settings
+from service.contract.frames import ContractError
+from tests.robot_client.insertion.stories import PLAN
+from tests.robot_client.session.test_wiring import answers
+
+
+def test_a_real_cell_inserts_only_with_the_record_of_its_commissioning(tmp_path):
+    path = tmp_path / "commissioning.json"
+    real = Settings(commissioning=path, lease=Lease(stop_lag_s=0.04))
+
+    def asked(settings):
+        return with_commissioning(settings, PLAN, asked=True)
+
+    for settings, says in ((Settings(), "--uncommissioned"), (real, "no such file")):
+        with pytest.raises(ContractError, match=says):
+            asked(settings)
+    record = Record(begun="today", seed=1, signs=tuple(answers()), gels={"left": "a", "right": "b"})
+    keep_record(path, record.model_copy(update={"named": ("swapped",)}))
+    with pytest.raises(ContractError, match="swapped"):
+        asked(real)
+    keep_record(path, record.model_copy(update={"signs": tuple(answers((-1, 1)))}))  # broken off before it was named
+    with pytest.raises(ContractError, match="names mistakes"):
+        asked(real)
+    keep_record(path, record)
+    assert asked(real).gels == record.gels
+    simulated, unasked = asked(Settings(simulated=True)), with_commissioning(Settings(), PLAN, asked=False)
+    assert not simulated.gels
+    assert unasked == PLAN
+    tilts = [plan.most_tilt_deg for plan in (asked(real), simulated, unasked)]
+    assert tilts == [1.5, 1.5, 0.0], "whose signs nobody has checked never tilts"
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"version": 1}', '{"version": 9, "begun": "x", "seed": 0}'])
+def test_a_file_that_is_no_record_is_refused_by_name(tmp_path, text):
+    path = tmp_path / "record.json"
+    path.write_text(text)
+    with pytest.raises(ContractError, match="no record of a commissioning"):
+        read_record(path)
+    keep_record(path, Record(begun="today", seed=1))
+    assert read_record(path).seed == 1
+
+
+def test_a_full_disk_leaves_the_record_of_the_probe_before(tmp_path):
+    path = tmp_path / "record.json"
+    keep_record(path, Record(begun="today", seed=1))
+    path.with_suffix(".tmp").symlink_to("/dev/full")
+    with pytest.raises(ContractError, match="No space left on device; the last probe is not in it"):
+        keep_record(path, Record(begun="today", seed=2))
+    assert read_record(path).seed == 1
+
+
+@given(st.sampled_from(["seed", "object", "named", "gels"]))
+def test_a_record_that_was_edited_is_refused(tmp_path_factory, key):
+    path = tmp_path_factory.mktemp("record") / "record.json"
+    keep_record(path, Record(begun="today", seed=1, named=("x",), gels={"left": "a", "right": "b"}))
+    record = json.loads(path.read_text())
+    edited = {"seed": 2, "object": "another", "named": [], "gels": {"left": "z", "right": "b"}}
+    path.write_text(json.dumps({**record, key: edited[key]}))
+    with pytest.raises(ContractError, match="not as it was written"):
+        read_record(path)
