@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from service.contract import ContractError, Sensor
 from service.contract.model_card import CONDITIONS
+from service.contract.toml import read_toml
 from service.contract.wire_parts import errors_left
 from training.data.dataset import SPLITS
 from training.data.pressed import Pressed
@@ -106,7 +107,7 @@ def pressed_of(attempts: list[Attempt], sensor: Sensor) -> Pressed:
 def _listed(record: Path) -> frozenset[str]:
     """The probes of a cell that was wired right, by insertion."""
     try:
-        stated = json.loads(record.read_text(encoding="utf-8"))
+        stated = read_toml(record)
         named, probes = stated["named"], [*stated["signs"], *stated["probes"]]
         listed = frozenset(str(probe["insertion_id"]) for probe in probes)
     except (OSError, ValueError, KeyError, TypeError) as error:

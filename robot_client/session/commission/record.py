@@ -7,12 +7,16 @@ from pathlib import Path
 from typing import Literal
 
 from pydantic import Field, ValidationError
+from pydantic_core import to_json
 
 from robot_client.session.commission.lateness import Press, late_s
 from robot_client.session.commission.wiring import SIDES, Probe, mistakes
 from service.contract.frames import Contract, ContractError, Finger, first_error
+from service.contract.toml import read_toml, toml_text
 
-RECORD = "commissioning.json"
+RECORD = "commissioning.toml"
+
+HEAD = "# The commissioning of a cell. `insert --live` refuses it, and whatever it names, where it was edited.\n"
 
 
 class Record(Contract):
@@ -23,7 +27,7 @@ class Record(Contract):
     ``timed`` are the presses at two speeds. ``sha256`` covers all other fields as written.
     """
 
-    version: Literal[1] = 1
+    version: Literal[2] = 2
     begun: str
     seed: int = Field(ge=0)
     object: str = ""
@@ -71,13 +75,14 @@ def commissioned(path: Path) -> Record:
 def read_record(path: Path) -> Record | None:
     """The record at ``path``, None if there is none yet; raises ContractError for any other file, or if edited."""
     try:
-        record = Record.model_validate_json(path.read_text(encoding="utf-8"))
+        record = Record.model_validate_json(to_json(read_toml(path)))
     except FileNotFoundError:
         return None
     except OSError as error:
         raise ContractError(f"cannot read {path}: {error.strerror}") from None
-    except ValidationError as error:
-        raise ContractError(f"{path} is no record of a commissioning: {first_error(error)}") from None
+    except ValueError as error:  # JSON is the form of older versions
+        why = first_error(error) if isinstance(error, ValidationError) else str(error)
+        raise ContractError(f"{path} is no record of a commissioning: {why}; commission the cell again") from None
     if record.sha256 != record.digest():
         raise ContractError(f"{path} is not as it was written: commission the cell again")
     return record
@@ -93,7 +98,7 @@ def keep_record(path: Path, record: Record) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("w", encoding="utf-8") as file:
-            file.write(json.dumps(record.model_dump(mode="json"), indent=1) + "\n")
+            file.write(HEAD + toml_text(record.model_dump(mode="json")))
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)

@@ -20,6 +20,7 @@ from robot_client.session.cycle import CycleSettings
 from robot_client.session.handshake import HandshakeSettings
 from robot_client.settings import _merged, load_settings
 from service.contract import ContractError, wire
+from service.contract.toml import toml_text
 from tests.robot_client.live_cell import bench, outcome, side_by_side
 
 SOON = {"robot": {"rws": {"request_timeout_s": 1.0}}, "gripper": {"reply_timeout_s": 0.5}}
@@ -244,12 +245,12 @@ def test_the_table_fits_a_terminal_and_shows_texts_as_they_are(capsys, monkeypat
 
 
 def test_a_record_of_another_version_is_renewed_by_commissioning(tmp_path):
-    path = tmp_path / "commissioning.json"
-    path.write_text('{"version": 0, "begun": "then", "seed": 1, "stops": []}')
+    path = tmp_path / "commissioning.toml"
+    path.write_text('{"version": 1, "begun": "then", "seed": 1}')
     with pytest.raises(ContractError) as refused:
         read_record(path)
     assert "commission --live" in remedy_of(str(refused.value))
-    path.write_text(Record(begun="then", seed=1).model_dump_json())
+    path.write_text(toml_text(Record(begun="then", seed=1).model_dump()))
     with pytest.raises(ContractError) as edited:
         read_record(path)
     assert "commission --live" in remedy_of(str(edited.value))

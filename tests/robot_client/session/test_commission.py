@@ -88,8 +88,8 @@ def commissioning(cell, path, record=None):
 
 
 def test_it_goes_on_where_it_was_broken_off_and_loses_the_probe_under_way(tmp_path):
-    path, whole, broken = tmp_path / "record.json", Cell(), Cell(fails_at=8)
-    asyncio.run(commissioning(whole, tmp_path / "whole.json").run(10))
+    path, whole, broken = tmp_path / "record.toml", Cell(), Cell(fails_at=8)
+    asyncio.run(commissioning(whole, tmp_path / "whole.toml").run(10))
     with pytest.raises(DriverError, match=r"probe 8 of 10.*tilt"):
         asyncio.run(commissioning(broken, path).run(10))
     record = asyncio.run(commissioning(broken, path, read_record(path)).run(10))
@@ -109,7 +109,7 @@ def test_a_probe_whose_object_hangs_askew_is_repeated_in_a_new_grasp(tmp_path):
             return ended._replace(phase=Phase.FAILED, reason=f"{REFUSED} it hangs turned by 0.6 deg")
 
     askew, cell, shown = {2, 6, 7}, Askew(), []
-    running = commissioning(cell, tmp_path / "record.json")
+    running = commissioning(cell, tmp_path / "record.toml")
     running.show = shown.append
     record = asyncio.run(running.run(6))
     assert (record.labelled_n, len(cell.probed), cell.fetched_n) == (6, 9, 9)
@@ -117,7 +117,7 @@ def test_a_probe_whose_object_hangs_askew_is_repeated_in_a_new_grasp(tmp_path):
     assert sum("not pressed in this grasp" in line and "0.6 deg" in line for line in shown) == 3
     askew = {1, 2, 3}
     with pytest.raises(DriverError, match="sign 1 of 4: service: refused: turned_in_hand"):
-        asyncio.run(commissioning(Askew(), tmp_path / "another.json").run(6))
+        asyncio.run(commissioning(Askew(), tmp_path / "another.toml").run(6))
 
 
 def test_a_probe_whose_pictures_came_too_late_is_repeated_in_a_new_grasp(tmp_path):
@@ -132,20 +132,20 @@ def test_a_probe_whose_pictures_came_too_late_is_repeated_in_a_new_grasp(tmp_pat
             return ended._replace(probe=probe_of("late", pose, no_decision(1, "stale")))
 
     late, cell, shown = {2, 5, 6}, Late(), []
-    running = commissioning(cell, tmp_path / "record.json")
+    running = commissioning(cell, tmp_path / "record.toml")
     running.show = shown.append
     record = asyncio.run(running.run(4))
     assert (len(record.signs), len(cell.probed), cell.fetched_n, record.named) == (4, 7, 7, ())
     assert sum("nothing is learnt in this grasp: stale" in line for line in shown) == 3
     late = set(range(1, 100))
-    record = asyncio.run(commissioning(Late(), tmp_path / "another.json").run(4))
+    record = asyncio.run(commissioning(Late(), tmp_path / "another.toml").run(4))
     assert len(record.signs) == 4
     assert record.named
     assert all(why.startswith("stale") for why in record.named)
 
 
 def test_presses_come_after_the_signs_once_and_older_records_keep_their_digest(tmp_path):
-    cell, path, pressed = Cell(), tmp_path / "record.json", []
+    cell, path, pressed = Cell(), tmp_path / "record.toml", []
 
     async def press(grip_n, x_mm, theta_deg):
         pressed.append((grip_n, x_mm, theta_deg))
@@ -170,7 +170,7 @@ def test_presses_come_after_the_signs_once_and_older_records_keep_their_digest(t
 def test_presses_count_among_the_probes_asked_for(tmp_path):
     """The robot's time is that of so many probes, whatever they are for."""
     cell, shown = Cell(), []
-    running = commissioning(cell, tmp_path / "record.json")
+    running = commissioning(cell, tmp_path / "record.toml")
     running.show, running.grips_n = shown.append, (40.0, 20.0)
     running.press = lambda _grip_n, x_mm, theta_deg: cell.probe(x_mm, theta_deg)
     record = asyncio.run(running.run(10))
@@ -188,7 +188,7 @@ def test_no_record_has_all_signs_and_not_yet_their_mistakes(tmp_path, monkeypatc
     monkeypatch.setattr(
         commission_run, "keep_record", lambda path, record: (kept.append(record), keep_record(path, record))
     )
-    asyncio.run(commissioning(Cell(sign=-1), tmp_path / "record.json").run(0))
+    asyncio.run(commissioning(Cell(sign=-1), tmp_path / "record.toml").run(0))
     assert [len(record.signs) for record in kept][:4] == [1, 2, 3, 4]
     assert all(bool(record.named) == (len(record.signs) == len(SIDES)) for record in kept)
 
@@ -203,7 +203,7 @@ asyncio.run(commissioning(Cell(), Path(sys.argv[1])).run(1000000))
 
 @pytest.mark.parametrize("least_n", [2, 7, 30])
 def test_a_kill_at_any_point_loses_no_probe_that_was_kept(least_n, tmp_path):
-    path, whole = tmp_path / "record.json", Cell()
+    path, whole = tmp_path / "record.toml", Cell()
     process = subprocess.Popen([sys.executable, "-c", ENDLESS, str(path)])
     try:
         until_s = time.monotonic() + 60.0
@@ -216,7 +216,7 @@ def test_a_kill_at_any_point_loses_no_probe_that_was_kept(least_n, tmp_path):
     record = read_record(path)
     total = max(record.labelled_n, len(SIDES) + 1)
     record = asyncio.run(commissioning(Cell(), path, record).run(total))
-    asyncio.run(commissioning(whole, tmp_path / "whole.json").run(total))
+    asyncio.run(commissioning(whole, tmp_path / "whole.toml").run(total))
     probed = [(probe.x_mm, probe.theta_deg) for probe in (*record.signs, *record.probes)]
     assert len(probed) >= least_n
     assert probed == whole.probed
@@ -225,21 +225,21 @@ def test_a_kill_at_any_point_loses_no_probe_that_was_kept(least_n, tmp_path):
 def test_nothing_goes_on_in_a_cell_with_the_wrong_signs(tmp_path):
     """It is not timed, not pressed and not probed."""
     cell = Cell(sign=-1)
-    running = commissioning(cell, tmp_path / "record.json")
+    running = commissioning(cell, tmp_path / "record.toml")
     running.press, running.grips_n = lambda _grip_n, *place: cell.probe(*place), (40.0, 20.0)
     running.press_at = lambda x_mm, theta_deg, _fast: cell.probe(x_mm, theta_deg)
     record = asyncio.run(running.run(20))
     assert (len(cell.probed), record.timed, record.presses, record.probes) == (len(SIDES), (), (), ())
     assert record.named == (WIRINGS[-1, 1],)
-    assert read_record(tmp_path / "record.json").named == record.named
+    assert read_record(tmp_path / "record.toml").named == record.named
 
 
 def test_a_gel_that_is_changed_on_the_way_ends_it(tmp_path):
     cell = Cell()
-    record = asyncio.run(commissioning(cell, tmp_path / "record.json").run(5))
+    record = asyncio.run(commissioning(cell, tmp_path / "record.toml").run(5))
     cell.gels = {"left": "a", "right": "c"}
     with pytest.raises(DriverError, match="gel was changed"):
-        asyncio.run(commissioning(cell, tmp_path / "record.json", record).run(6))
+        asyncio.run(commissioning(cell, tmp_path / "record.toml", record).run(6))
 
 
 def camera(gel):

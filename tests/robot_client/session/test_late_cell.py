@@ -22,7 +22,7 @@ from tests.robot_client.session.test_wiring import answers
 def test_an_insertion_reckons_with_the_lateness_of_its_commissioning_where_that_is_longer(
     tmp_path, late, set_s, counts_s
 ):
-    path = tmp_path / "commissioning.json"
+    path = tmp_path / "commissioning.toml"
     made = series_of(late - LEAST_OPEN_S, frame_s=0.0) if late else ()
     keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), timed=tuple(made)))
     plan = PLAN.model_copy(update={"lease": Lease(stop_lag_s=set_s)})
@@ -31,7 +31,7 @@ def test_an_insertion_reckons_with_the_lateness_of_its_commissioning_where_that_
 
 
 def test_a_cell_whose_lateness_is_neither_measured_nor_set_inserts_nothing(tmp_path):
-    path = tmp_path / "commissioning.json"
+    path = tmp_path / "commissioning.toml"
     keep_record(path, Record(begun="today", seed=1, signs=tuple(answers())))
     with pytest.raises(SettingsError, match=r"does not show how late .* or set it"):
         with_commissioning(Settings(commissioning=path), PLAN, asked=True)
@@ -47,7 +47,7 @@ def test_a_cell_whose_lateness_is_neither_measured_nor_set_inserts_nothing(tmp_p
     ],
 )
 async def test_check_tells_how_late_the_cell_is_and_refuses_one_that_is_too_late(tmp_path, late, good, says):
-    path = tmp_path / "commissioning.json"
+    path = tmp_path / "commissioning.toml"
     made = series_of(late - LEAST_OPEN_S, frame_s=0.0) if late else ()
     keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), timed=tuple(made)))
     real = Settings(commissioning=path, lease=Lease(stop_lag_s=0.04))
@@ -58,7 +58,7 @@ async def test_check_tells_how_late_the_cell_is_and_refuses_one_that_is_too_late
 
 @pytest.mark.parametrize(("gel", "good"), [("a", True), ("z", False), ("", False)])
 def test_check_refuses_a_gel_with_which_the_cell_was_not_commissioned(tmp_path, gel, good):
-    path = tmp_path / "commissioning.json"
+    path = tmp_path / "commissioning.toml"
     gels = {"left": "a", "right": "b"}
     keep_record(path, Record(begun="today", seed=1, signs=tuple(answers()), gels=gels))
     cameras = [wire.CameraEntry(finger=f, source="s", state="live", gel=gel if f == "left" else "b") for f in gels]

@@ -158,7 +158,7 @@ def timed(cell, path, record=None):
 
 
 def test_the_presses_follow_the_signs_once_and_in_one_grasp(tmp_path):
-    cell, path = Pressed(), tmp_path / "record.json"
+    cell, path = Pressed(), tmp_path / "record.toml"
     record = timed(cell, path)
     again = timed(cell, path, read_record(path))
     assert record.late_s == again.late_s == pytest.approx(0.08 + 0.5 * FRAME_S)
@@ -167,7 +167,7 @@ def test_the_presses_follow_the_signs_once_and_in_one_grasp(tmp_path):
 
 
 def test_a_series_that_tells_nothing_is_not_kept_and_made_again(tmp_path):
-    cell, path = Pressed(blind=True), tmp_path / "record.json"
+    cell, path = Pressed(blind=True), tmp_path / "record.toml"
     record = timed(cell, path)
     assert (record.timed, record.late_s, len(record.probes)) == ((), None, 2)
     assert len(cell.presses) == MOST_N
@@ -184,7 +184,7 @@ def test_an_object_that_turns_in_the_hand_meanwhile_is_regrasped_and_the_series_
             return ended._replace(phase=Phase.FAILED, reason=f"{REFUSED} it hangs turned by 0.6 deg", stop=None)
 
     cell = Turning()
-    record = timed(cell, tmp_path / "record.json")
+    record = timed(cell, tmp_path / "record.toml")
     assert record.late_s == pytest.approx(0.08 + 0.5 * FRAME_S)
     grasp = len(SIDES) + 1
     assert [fetched_n - grasp for *_, fetched_n in cell.presses] == [0] * 6 + [1] * 3 + [2] * 4
@@ -211,14 +211,14 @@ def test_an_object_that_hangs_turned_in_each_grasp_ends_the_commissioning(tmp_pa
 
     cell = Hanging()
     with pytest.raises(DriverError, match=r"slow press 3: service: refused: turned_in_hand: it hangs turned"):
-        timed(cell, tmp_path / "record.json")
+        timed(cell, tmp_path / "record.toml")
     assert len(cell.presses) == 3 + GRASPS_N
 
 
 def test_an_older_record_with_one_fast_press_is_timed_again(tmp_path):
     record = Record(begun="today", seed=7, gels={"left": "a", "right": "b"}, timed=tuple(series_of(0.05)[:4]))
     assert record.late_s is None
-    assert timed(Pressed(), tmp_path / "record.json", record).late_s == pytest.approx(0.08 + 0.5 * FRAME_S)
+    assert timed(Pressed(), tmp_path / "record.toml", record).late_s == pytest.approx(0.08 + 0.5 * FRAME_S)
 
 
 def test_a_cell_that_cannot_be_timed_is_probed_all_the_same(tmp_path):
@@ -226,5 +226,5 @@ def test_a_cell_that_cannot_be_timed_is_probed_all_the_same(tmp_path):
         async def press_at(self, *_):
             raise LimitError("presses at 3 and at 4.0 mm/s do not tell how late pictures and arm are")
 
-    record = timed(TooSlow(), tmp_path / "record.json")
+    record = timed(TooSlow(), tmp_path / "record.toml")
     assert (record.late_s, record.labelled_n) == (None, 6)

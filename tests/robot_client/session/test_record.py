@@ -1,22 +1,22 @@
 """The record of a commissioning, which `insert --live` demands: one that was edited or cut off is refused."""
 
-import json
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_client.cli.insert import with_commissioning
 from robot_client.insertion.lease import Lease
-from robot_client.session.commission.record import Record, keep_record, read_record
+from robot_client.session.commission.record import RECORD, Record, keep_record, read_record
 from robot_client.settings import Settings
 from service.contract.frames import ContractError
+from service.contract.toml import read_toml, toml_text
 from tests.robot_client.insertion.stories import PLAN
-from tests.robot_client.session.test_wiring import answers
+from tests.robot_client.session.test_lateness import series_of
+from tests.robot_client.session.test_wiring import all_went_in, answers
 
 
 def test_a_real_cell_inserts_only_with_the_record_of_its_commissioning(tmp_path):
-    path = tmp_path / "commissioning.json"
+    path = tmp_path / "commissioning.toml"
     real = Settings(commissioning=path, lease=Lease(stop_lag_s=0.04))
 
     def asked(settings):
@@ -41,9 +41,9 @@ def test_a_real_cell_inserts_only_with_the_record_of_its_commissioning(tmp_path)
     assert tilts == [1.5, 1.5, 0.0], "whose signs nobody has checked never tilts"
 
 
-@pytest.mark.parametrize("text", ["", "{", '{"version": 1}', '{"version": 9, "begun": "x", "seed": 0}'])
+@pytest.mark.parametrize("text", ["", "{", "version = 2", 'version = 9\nbegun = "x"\nseed = 0'])
 def test_a_file_that_is_no_record_is_refused_by_name(tmp_path, text):
-    path = tmp_path / "record.json"
+    path = tmp_path / "record.toml"
     path.write_text(text)
     with pytest.raises(ContractError, match="no record of a commissioning"):
         read_record(path)
@@ -51,8 +51,25 @@ def test_a_file_that_is_no_record_is_refused_by_name(tmp_path, text):
     assert read_record(path).seed == 1
 
 
+def test_a_record_of_the_form_before_says_to_commission_again(tmp_path):
+    """It was JSON, without pictures and with one grip."""
+    path = tmp_path / "commissioning.json"
+    path.write_text(Record(begun="today", seed=1, signs=tuple(answers())).model_dump_json(indent=1))
+    with pytest.raises(ContractError, match=r"not valid TOML.*; commission the cell again"):
+        with_commissioning(Settings(commissioning=path), PLAN, asked=True)
+
+
+def test_a_record_is_read_as_it_was_written(tmp_path):
+    path, presses = tmp_path / RECORD, series_of(0.05)
+    signs = (*answers(), *answers(reason="stale"), *all_went_in())
+    record = Record(begun="today", seed=1, signs=signs, timed=tuple(presses), gels={"left": "a", "right": 'b"\n'})
+    keep_record(path, record)
+    assert read_record(path).model_copy(update={"sha256": ""}) == record
+    assert len(path.read_text().splitlines()) < 20 + len(signs) + len(presses), "a line for each probe"
+
+
 def test_a_full_disk_leaves_the_record_of_the_probe_before(tmp_path):
-    path = tmp_path / "record.json"
+    path = tmp_path / "record.toml"
     keep_record(path, Record(begun="today", seed=1))
     path.with_suffix(".tmp").symlink_to("/dev/full")
     with pytest.raises(ContractError, match="No space left on device; the last probe is not in it"):
@@ -62,10 +79,9 @@ def test_a_full_disk_leaves_the_record_of_the_probe_before(tmp_path):
 
 @given(st.sampled_from(["seed", "object", "named", "gels"]))
 def test_a_record_that_was_edited_is_refused(tmp_path_factory, key):
-    path = tmp_path_factory.mktemp("record") / "record.json"
+    path = tmp_path_factory.mktemp("record") / "record.toml"
     keep_record(path, Record(begun="today", seed=1, named=("x",), gels={"left": "a", "right": "b"}))
-    record = json.loads(path.read_text())
     edited = {"seed": 2, "object": "another", "named": [], "gels": {"left": "z", "right": "b"}}
-    path.write_text(json.dumps({**record, key: edited[key]}))
+    path.write_text(toml_text({**read_toml(path), key: edited[key]}))
     with pytest.raises(ContractError, match="not as it was written"):
         read_record(path)

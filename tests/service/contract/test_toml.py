@@ -5,9 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from robot_client.settings import load_settings
-from service.contract.toml import read_toml
+from service.contract.toml import parse_toml, read_toml, toml_text
 from service.perception.rectification import Calibration
 from service.settings import read_settings
 from simulation.scene.worlds import load_scene
@@ -51,3 +53,18 @@ def test_a_byte_order_mark_and_windows_line_ends_are_ignored(tmp_path: Path) -> 
 def test_a_file_that_is_not_there_is_an_os_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         read_toml(tmp_path / "none.toml")
+
+
+TEXT = st.text(st.characters(exclude_categories=["Cs"]))
+SCALARS = st.booleans() | st.integers(-(2**63), 2**63 - 1) | st.floats(allow_nan=False) | TEXT
+VALUES = st.recursive(SCALARS, lambda below: st.lists(below, max_size=3) | st.dictionaries(TEXT, below, max_size=3))
+
+
+@given(st.dictionaries(TEXT, VALUES, max_size=5))
+def test_what_is_written_is_read_again(tables: dict[str, Any]) -> None:
+    assert parse_toml(toml_text(tables).encode(), "it") == tables
+
+
+def test_a_list_of_tables_has_a_line_for_each_and_what_is_none_is_left_out() -> None:
+    text = toml_text({"probes": ({"x_mm": 8.0, "said": None}, {"x_mm": -8.0}), "seed": None, "gels": {"left": "a"}})
+    assert text == 'probes = [\n  {x_mm = 8.0},\n  {x_mm = -8.0},\n]\n\n[gels]\nleft = "a"\n'

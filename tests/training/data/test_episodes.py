@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from service.contract import ContractError, Sensor
+from service.contract.toml import toml_text
 from training.data.episodes import cells_of, read_episodes
 from training.networks.pressing import LATTICE
 
@@ -172,17 +173,17 @@ def test_a_recording_that_is_there_twice_is_named(tmp_path):
 
 def test_of_all_probes_only_those_count_that_the_record_of_a_commissioning_lists(tmp_path):
     recorded(tmp_path / "runs", 5)
-    record = tmp_path / "commissioning.json"
+    record = tmp_path / "commissioning.toml"
 
     def read(**stated):
-        record.write_text(json.dumps({"named": [], "signs": [], "probes": [], **stated}))
+        record.write_text(toml_text({"named": [], "signs": [], "probes": [], **stated}))
         return read_episodes(tmp_path / "runs", Sensor.load(), record)
 
     listed = [{"insertion_id": "0001"}, {"insertion_id": "0004"}]
     assert read(signs=listed[:1], probes=listed[1:]).groups.tolist() == ["0001", "0004"]
     with pytest.raises(ContractError, match="names mistakes, and its probes have wrong labels: x reversed"):
         read(signs=listed, named=["x reversed"])
-    record.write_text("{}")
+    record.write_text("")
     with pytest.raises(ContractError, match="is no record of a commissioning"):
         read_episodes(tmp_path / "runs", Sensor.load(), record)
 
