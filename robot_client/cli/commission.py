@@ -12,6 +12,7 @@ from robot_client.insertion.state import Phase, Plan, State
 from robot_client.ports import DriverError, Gripper
 from robot_client.session.commission.kept_gripper import KeptGripper
 from robot_client.session.commission.lateness import MOST_N, PLACE, slow_and_fast
+from robot_client.session.commission.pictures import picture_of
 from robot_client.session.commission.record import RECORD, Record, read_record
 from robot_client.session.commission.run import FITS, PRESSES, REACH, Commissioning, Ended, errors, second_grip_n
 from robot_client.session.commission.wiring import SIDES, probe_of
@@ -85,7 +86,7 @@ def _steps(probes_n: int, path: Path, record: Record | None, grips_n: Sequence[f
         f"press 7 to {MOST_N} times at {_places((PLACE,))}, at two speeds: how late are pictures and arm?",
         f"press at {_places(PRESSES)} until the gel slides" + (f", at {grips}" if grips else ""),
         f"{max(0, probes_n - done_n)} more probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
-        f"keep what was seen in {path} after each",
+        f"keep what was seen in {path} after each, and pictures of the probes before the last ones beside it",
     ]
 
 
@@ -139,6 +140,9 @@ class Probing:
     async def press_at(self, x_mm: float, theta_deg: float, fast: bool) -> Ended:
         plan = make_plan(self._settings, x_mm, theta_deg, None, None)
         return await self._run(slow_and_fast(plan, self._rate_hz)[fast], self._kept)
+
+    async def picture(self, insertion_id: str, caption: str) -> str:
+        return await picture_of(self._settings.service, insertion_id, caption)
 
     async def allowed(self, grips_n: Sequence[float | None]) -> list[float | None]:
         """Those of the grips that the gripper allows; says which it does not. Moves nothing, raises DriverError."""
@@ -202,8 +206,10 @@ async def _commission(
 ) -> Outcome:
     stop_on_signals()
     draw = errors(record.seed, *REACH, FITS)
-    press, press_at = probing.press, probing.press_at
-    running = Commissioning(path, record, probing.probe, probing.fetch, draw, show, press, press_at=press_at)
+    press, press_at, picture = probing.press, probing.press_at, probing.picture
+    running = Commissioning(
+        path, record, probing.probe, probing.fetch, draw, show, press, press_at=press_at, picture=picture
+    )
     probing.late_s = lambda: running.record.late_s
     why = ""
     try:

@@ -23,7 +23,7 @@ class Record(Contract):
     """A stored commissioning. ``seed`` determines the errors of all probes, ``named`` are mistakes of the cell.
 
     ``gels`` are those of its first probe, by the service's names. ``presses`` continued until the gel slid, two at each
-    grip.
+    grip. ``pictures`` are files beside the record, each with its SHA-256.
     ``timed`` are the presses at two speeds. ``sha256`` covers all other fields as written.
     """
 
@@ -37,6 +37,7 @@ class Record(Contract):
     presses: tuple[Probe, ...] = ()
     timed: tuple[Press, ...] = ()
     probes: tuple[Probe, ...] = ()
+    pictures: dict[str, str] = Field(default_factory=dict)
     sha256: str = ""
 
     @property
@@ -85,6 +86,10 @@ def read_record(path: Path) -> Record | None:
         raise ContractError(f"{path} is no record of a commissioning: {why}; commission the cell again") from None
     if record.sha256 != record.digest():
         raise ContractError(f"{path} is not as it was written: commission the cell again")
+    for name, sha256 in record.pictures.items():
+        picture = path.with_name(name)
+        if not picture.is_file() or hashlib.sha256(picture.read_bytes()).hexdigest() != sha256:
+            raise ContractError(f"{picture} is not as it was written: commission the cell again")
     return record
 
 
@@ -94,13 +99,19 @@ def keep_record(path: Path, record: Record) -> None:
     So does a full disk: raises ContractError.
     """
     record = record.model_copy(update={"sha256": record.digest()})
+    keep_text(path, HEAD + toml_text(record.model_dump(mode="json")))
+
+
+def keep_text(path: Path, text: str) -> str:
+    """Write a file of the record as atomically; returns its SHA-256."""
     temporary = path.with_suffix(".tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("w", encoding="utf-8") as file:
-            file.write(HEAD + toml_text(record.model_dump(mode="json")))
+            file.write(text)
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
     except OSError as error:
         raise ContractError(f"cannot write {path}: {error.strerror}; the last probe is not in it") from None
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -18,7 +18,7 @@ from robot_client.insertion.limits import LimitError
 from robot_client.insertion.state import REFUSED, Phase
 from robot_client.ports import DriverError
 from robot_client.session.commission.lateness import PLACE, Press, late_s, next_is_fast
-from robot_client.session.commission.record import Record, keep_record
+from robot_client.session.commission.record import Record, keep_record, keep_text
 from robot_client.session.commission.wiring import SIDES, Probe, mistakes
 from robot_client.session.stops import Stop
 from service.contract.frames import Finger
@@ -72,7 +72,8 @@ class Commissioning:
 
     ``press`` is a probe that goes on until the gel slides, with one of ``grips_n`` (N, None: as set; none: no presses).
     ``press_at`` is a slow or fast probe (True), the object held from before; None: the lateness is not measured.
-    ``path`` is the record's; its probes are not repeated.
+    ``picture`` is the picture of a probe with this name and caption, of those before the probes to learn from; None:
+    none. ``path`` is the record's; its probes are not repeated.
     """
 
     path: Path
@@ -84,6 +85,7 @@ class Commissioning:
     press: Callable[[float | None, float, float], Awaitable[Ended]] | None = None
     grips_n: Sequence[float | None] = ()
     press_at: Callable[[float, float, bool], Awaitable[Ended]] | None = None
+    picture: Callable[[str, str], Awaitable[str]] | None = None
     _began_s: float = field(default_factory=time.monotonic)
 
     async def run(self, probes_n: int) -> Record:
@@ -96,7 +98,9 @@ class Commissioning:
                 number = len(self.record.signs)
                 done = await self._probe(f"sign {number + 1} of {len(SIDES)}", *SIDES[number])
                 signs = (*self.record.signs, done)
-                self._keep(signs=signs, named=mistakes(signs) if len(signs) == len(SIDES) else ())
+                pictures = await self._pictured(f"sign_{number + 1}", done)
+                named = mistakes(signs) if len(signs) == len(SIDES) else ()
+                self._keep(signs=signs, named=named, pictures=pictures)
             self._keep(named=mistakes(self.record.signs))  # an older record may have been cut off before them
             if self.press_at and not self.record.named and self.record.late_s is None:
                 self._keep(timed=await self._timed(self.press_at))
@@ -106,7 +110,8 @@ class Commissioning:
                 x_mm, theta_deg, grip_n = presses[number]
                 title = f"press {number + 1} of {len(presses)}" + (f" at {grip_n:g} N" if grip_n else "")
                 done = await self._probe(title, x_mm, theta_deg, partial(self.press, grip_n))
-                self._keep(presses=(*self.record.presses, done))
+                pictures = await self._pictured(f"press_{number + 1}", done)
+                self._keep(presses=(*self.record.presses, done), pictures=pictures)
             while not self.record.named and self.record.done_n < probes_n:
                 title = f"probe {self.record.done_n + 1} of {probes_n}{self._left(probes_n)}"
                 done = await self._probe(title, *self.draw(len(self.record.probes)))
@@ -157,6 +162,15 @@ class Commissioning:
             felt += f"; slid once pressed by {done.slid_mm:.1f} mm"
         self.show(f"{title}: {x_mm:+.1f} mm, {theta_deg:+.1f} deg; {felt}")
         return done
+
+    async def _pictured(self, name: str, probe: Probe) -> dict[str, str]:
+        """The record's pictures with the one of this probe, which is written before the record names it."""
+        if self.picture is None:
+            return self.record.pictures
+        file = f"{name}.svg"
+        caption = f"{self.record.begun}, {name}: {probe.x_mm:+.1f} mm, {probe.theta_deg:+.1f} deg; {probe.insertion_id}"
+        text = await self.picture(probe.insertion_id, caption)
+        return {**self.record.pictures, file: keep_text(self.path.with_name(file), text)}
 
     async def _in_new_grasp(self, probe: Callable[[], Awaitable[Ended]]) -> Ended:
         """Regrasp and probe; once more where the object then hangs too far askew in the hand.

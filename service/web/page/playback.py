@@ -21,6 +21,8 @@ from service.web.page.sentences import event
 
 PERIOD_NS = 50_000_000  # of the selectable moments
 TOPICS = [*(f"/{finger}/markers" for finger in FINGERS), "/robot", "/messages"]
+UNFELT: dict[str, Any] = {"rest": [], "moved": [], "kinds": [], "pitch": 0.0}
+"""The markers of a picture that was not judged."""
 
 
 class Curves:
@@ -93,9 +95,13 @@ def _line(message: dict[str, Any]) -> str:
 
 
 def timeline(path: Path) -> dict[str, Any]:
-    """The curves of a recording; raises RecordingError if it cannot be read."""
+    """The curves of a recording; raises RecordingError if it cannot be read.
+
+    ``open``: the stamp of each finger's first picture, which is of its open gel if the hand was open then.
+    """
     curves = Curves()
     with opened(path) as reader:
+        first = {finger: next(_messages(reader, _images(finger)), None) for finger in FINGERS}
         for topic, at_ns, data in _messages(reader, TOPICS):
             match topic:
                 case "/robot":
@@ -105,27 +111,31 @@ def timeline(path: Path) -> dict[str, Any]:
                     curves.message(at_ns, content["from"], content["message"])
                 case _:
                     curves.markers(topic.split("/")[1], at_ns, data)
-    return curves.as_json()
+    return curves.as_json() | {"open": {finger: str(one[1]) for finger, one in first.items() if one}}
 
 
 def moment(path: Path, finger: Finger, at_ns: int) -> dict[str, Any]:
-    """A finger's observation at a stamp of the timeline, as the page draws it; RecordingError if there is none."""
+    """A finger's picture and observation at a stamp of the timeline, as the page draws it.
+
+    RecordingError if there is neither.
+    """
     pixels, markers = None, None
     with opened(path) as reader:
         calibration = next((m.metadata["calibration"] for m in reader.iter_metadata() if m.name == "insertion"), "")
-        topics = [f"/{finger}/markers", *(f"/{finger}/{name}" for name in IMAGE.values())]
-        for topic, _, data in _messages(reader, topics, at_ns):
+        for topic, _, data in _messages(reader, [f"/{finger}/markers", *_images(finger)], at_ns):
             if topic.endswith("markers"):
                 markers = Markers.FromString(data)
             else:
                 pixels = pixels_of(topic, data)
-    if markers is None:
-        raise RecordingError(f"{path.parent.name} has no markers of the {finger} finger at {at_ns}")
+    if markers is None and pixels is None:
+        raise RecordingError(f"{path.parent.name} has nothing of the {finger} finger at {at_ns}")
     if pixels is None:
         pixels = np.zeros((320, 327, 3), np.uint8)  # dropped for lack of space: the markers remain
     elif calibration:
         rectify = _rectifier(calibration, finger)
         pixels = rectify.apply(pixels) if pixels.shape == rectify.camera.raw.shape else pixels
+    if markers is None:
+        return shown(finger, pixels, "watching", 0.0) | UNFELT
     flags = (np.frombuffer(each, np.uint8) for each in (markers.valid, markers.slipping, markers.sticking))
     arrows = {
         "rest": [round(v, 1) for v in markers.rest_px],
@@ -134,6 +144,10 @@ def moment(path: Path, finger: Finger, at_ns: int) -> dict[str, Any]:
         "pitch": _pitch(markers),
     }
     return shown(finger, pixels, markers.state, markers.slip_score) | arrows
+
+
+def _images(finger: Finger) -> list[str]:
+    return [f"/{finger}/{name}" for name in IMAGE.values()]
 
 
 def _messages(reader: McapReader, topics: list[str], at_ns: int | None = None) -> Iterator[tuple[str, int, bytes]]:

@@ -209,6 +209,11 @@ def test_a_recorded_insertion_is_played_back_on_one_time_axis(live: LiveService)
     assert (felt["width"], felt["height"]) == (327, 320)
     assert 2 in felt["kinds"]
     assert len(felt["moved"]) == 2 * len(felt["kinds"])
+    for finger, at_ns in timeline["open"].items():
+        unfelt = httpx.get(live.url(f"{base}/moments/{finger}/{at_ns}"), timeout=60).json()
+        assert int(at_ns) <= int(timeline["moments"][0][finger])
+        assert (unfelt["finger"], unfelt["width"], unfelt["moved"]) == (finger, 327, [])
+    assert list(timeline["open"]) == ["left", "right"]
     assert httpx.get(live.url(f"{base}/moments/left/5")).status_code == 400
     (listed,) = [r for r in httpx.get(live.url("/v1/recordings")).json()["recordings"] if r["insertion_id"] == "played"]
     assert listed["decisions"][0]["correction"] == [decided.dx_mm, decided.dtheta_deg]
