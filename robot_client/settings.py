@@ -3,6 +3,7 @@
 import difflib
 import json
 import os
+from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -78,6 +79,16 @@ class Settings(Contract):
     cycle: CycleSettings | None = None
     commissioning: Path | None = None  # the record of `commission`, required for a live insertion
     simulated: bool = False  # the devices are those of a simulated cell: no warning of a moving robot
+
+    def tables(self) -> dict[str, Any]:
+        """The tables of its file, without defaults, and without what may come from the environment: the password."""
+        tables = self.model_dump(mode="json", exclude_unset=True, exclude={*REGISTRIES})
+        for name in REGISTRIES:
+            device: DeviceSettings = getattr(self, name)
+            tables[name] = {"device": device.device, **device.model_dump(mode="json", exclude_unset=True)}
+            for *above, key in device.variables.values():
+                reduce(lambda table, part: table.get(part, {}), above, tables[name]).pop(key, None)
+        return tables
 
     def make_arm(self) -> Arm:
         """The arm behind its port; nothing is connected yet."""

@@ -15,6 +15,7 @@ from robot_client.session.commission.lateness import MOST_N, PLACE, slow_and_fas
 from robot_client.session.commission.pictures import picture_of
 from robot_client.session.commission.record import RECORD, Record, read_record
 from robot_client.session.commission.run import FITS, PRESSES, REACH, Commissioning, Ended, errors, second_grip_n
+from robot_client.session.commission.taught import CELL, teach
 from robot_client.session.commission.wiring import SIDES, probe_of
 from robot_client.session.cycle import CycleSettings, is_empty
 from robot_client.session.recorder import Recorder, check_takes_files
@@ -49,7 +50,8 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
     if not live:
         return rehearsed("would:", steps)
     if record is None:
-        record = Record(begun=time.strftime("%Y-%m-%dT%H:%M:%S"), seed=seed, object=settings.task.object)
+        begun, task = time.strftime("%Y-%m-%dT%H:%M:%S"), settings.task
+        record = Record(begun=begun, seed=seed, object=task.object, approach_z_mm=task.approach_z_mm)
     elif record.named:
         raise SettingsError(f"{path} names mistakes; mend them and remove it: {'; '.join(record.named)}")
     show_steps(f"will, after it has opened the empty fingers to {taught.open_mm:g} mm:", steps)
@@ -144,6 +146,11 @@ class Probing:
     async def picture(self, insertion_id: str, caption: str) -> str:
         return await picture_of(self._settings.service, insertion_id, caption)
 
+    def teach(self, record: Record, path: Path) -> None:
+        """Write the configuration of the commissioned cell beside its record."""
+        text = teach(self._settings.tables(), self._settings.ramps.descend.speed_mm_s, record, path)
+        show(f"{text}; `insert --live --config {path.with_name(CELL)}` reads that")
+
     async def allowed(self, grips_n: Sequence[float | None]) -> list[float | None]:
         """Those of the grips that the gripper allows; says which it does not. Moves nothing, raises DriverError."""
         kept = list(grips_n)
@@ -228,6 +235,8 @@ async def _commission(
     if record.done_n >= probes_n and not why:
         show(f"{record.done_n} probes done. The service's recordings hold them; to learn from them:")
         show(f"  python -m training adapt RECORDINGS --record {path} --from models/pressing/checkpoint.pt")
+    if len(record.signs) == len(SIDES) and not record.named:
+        probing.teach(record, path)
     kept = _kept(path)
     show(f"record: {kept or 'none, no probe was completed'}")
     result = {"named": list(record.named), "probes": record.done_n, "record": kept, "reason": why}

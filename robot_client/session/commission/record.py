@@ -22,8 +22,8 @@ HEAD = "# The commissioning of a cell. `insert --live` refuses it, and whatever 
 class Record(Contract):
     """A stored commissioning. ``seed`` determines the errors of all probes, ``named`` are mistakes of the cell.
 
-    ``gels`` are those of its first probe, by the service's names. ``presses`` continued until the gel slid, two at each
-    grip. ``pictures`` are files beside the record, each with its SHA-256.
+    ``gels`` are those of its first probe, by the service's names. ``approach_z_mm``: its task's,
+    then. ``presses`` continued until the gel slid, two at each grip. ``pictures``: files beside it, with their SHA-256.
     ``timed`` are the presses at two speeds. ``sha256`` covers all other fields as written.
     """
 
@@ -31,6 +31,7 @@ class Record(Contract):
     begun: str
     seed: int = Field(ge=0)
     object: str = ""
+    approach_z_mm: float | None = None
     gels: dict[Finger, str] = Field(default_factory=dict)
     signs: tuple[Probe, ...] = ()
     named: tuple[str, ...] = ()
