@@ -88,7 +88,7 @@ def _steps(probes_n: int, path: Path, record: Record | None, grips_n: Sequence[f
         f"press 7 to {MOST_N} times at {_places((PLACE,))}, at two speeds: how late are pictures and arm?",
         f"press at {_places(PRESSES)} until the gel slides" + (f", at {grips}" if grips else ""),
         f"{max(0, probes_n - done_n)} more probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
-        f"keep what was seen in {path} after each, and pictures of the probes before the last ones beside it",
+        f"keep what was seen in {path} after each, with pictures of the signs and presses, and {CELL} beside it",
     ]
 
 

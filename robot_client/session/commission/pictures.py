@@ -15,6 +15,7 @@ from service.contract.frames import FINGERS
 WAIT_S, LOOK_S = 15.0, 0.2  # until the service has closed a recording
 GAIN = 4.0  # arrows are longer than the motion, as on the service's page
 OUTSIDE, STICKS, SLIPS = range(3)
+HEAD = '<marker id="head" refX="4" refY="2" markerHeight="4" orient="auto"><polygon points="0 0 4 2 0 4"/></marker>'
 COLOURS = {OUTSIDE: "#8fa0b0", STICKS: "#35c6c0", SLIPS: "#ff5b45"}
 Panel = tuple[str, Mapping[str, Any]]
 _ANSWERS = (KeyError, IndexError, TypeError, ValueError)  # of a service of another version
@@ -67,7 +68,7 @@ def svg(caption: str, panels: Sequence[Panel]) -> str:
     width, height = (max(int(content[side]) for _, content in panels) for side in ("width", "height"))
     view = f'viewBox="0 -40 {width * len(panels)} {height + 40}"'
     lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" {view} font-family="sans-serif" font-size="14">',
+        f'<svg xmlns="http://www.w3.org/2000/svg" {view} font-family="sans-serif" font-size="14">{HEAD}',
         f'<text y="-24">{html.escape(caption)} (arrows x {GAIN:g}; square: slips)</text>',
     ]
     for number, (name, content) in enumerate(panels):
@@ -86,4 +87,4 @@ def _arrows(content: Mapping[str, Any]) -> Iterator[str]:
         if kind in COLOURS:
             spot = "m-2 -2h4v4h-4zm2 2" if kind == SLIPS else ""
             way = f"M{u:.1f} {v:.1f}{spot}l{GAIN * du:.1f} {GAIN * dv:.1f}"
-            yield f'<path d="{way}" stroke="{COLOURS[kind]}" fill="none"/>'
+            yield f'<path d="{way}" stroke="{COLOURS[kind]}" fill="none" marker-end="url(#head)"/>'

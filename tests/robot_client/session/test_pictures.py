@@ -96,7 +96,7 @@ def test_the_service_shows_both_gels_open_and_pressed_over_a_real_socket(live: L
 def test_an_arrow_is_as_long_as_the_motion_and_one_that_slips_has_a_square():
     content = {"width": 40, "height": 30, "jpeg": "", "rest": [5, 6, 7, 8, 9, 9], "moved": [1, -2, 0.5, 0, 1, 1]}
     text = svg("x", [("left", {**content, "kinds": [1, 2, -1]})])
-    assert re.findall(r'd="([^"]*)"', text) == ["M5.0 6.0l4.0 -8.0", "M7.0 8.0m-2 -2h4v4h-4zm2 2l2.0 0.0"]
+    assert re.findall(r' d="([^"]*)"', text) == ["M5.0 6.0l4.0 -8.0", "M7.0 8.0m-2 -2h4v4h-4zm2 2l2.0 0.0"]
 
 
 @pytest.mark.parametrize(("insertion_id", "why"), [("nowhere", "answers without"), ("../x", "HTTPStatusError")])

@@ -72,7 +72,7 @@ def test_the_taught_file_is_the_given_one_with_the_record_and_without_the_passwo
     teach(given.tables(), PROBING_MM_S, record_of((1.5, 1.9, 1.6, 1.8)), path)
     task = given.task.model_copy(update={"approach_z_mm": 33.8})
     assert load_settings(tmp_path / CELL) == given.model_copy(update={"task": task, "commissioning": path})
-    assert "secret" not in (tmp_path / CELL).read_text()
+    assert not [word for word in ("secret", "password =") if word in (tmp_path / CELL).read_text()]
     monkeypatch.delenv("TACTILE_INSERTION_RWS_PASSWORD")
     assert load_settings(tmp_path / CELL).robot.rws.user == "cell"
 
