@@ -223,6 +223,8 @@ async def _commission(
         await probing.begin()
         running.grips_n = await probing.allowed(grips_n)
         record = await running.run(probes_n)
+        if not record.named:
+            probing.teach(record, path)
     except (ValueError, OSError) as error:
         record, why = running.record, reason(error)
         show(f"HOLD  {why}")
@@ -235,8 +237,6 @@ async def _commission(
     if record.done_n >= probes_n and not why:
         show(f"{record.done_n} probes done. The service's recordings hold them; to learn from them:")
         show(f"  python -m training adapt RECORDINGS --record {path} --from models/pressing/checkpoint.pt")
-    if len(record.signs) == len(SIDES) and not record.named:
-        probing.teach(record, path)
     kept = _kept(path)
     show(f"record: {kept or 'none, no probe was completed'}")
     result = {"named": list(record.named), "probes": record.done_n, "record": kept, "reason": why}

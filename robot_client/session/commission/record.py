@@ -100,7 +100,10 @@ def keep_record(path: Path, record: Record) -> None:
     So does a full disk: raises ContractError.
     """
     record = record.model_copy(update={"sha256": record.digest()})
-    keep_text(path, HEAD + toml_text(record.model_dump(mode="json")))
+    try:
+        keep_text(path, HEAD + toml_text(record.model_dump(mode="json")))
+    except ContractError as error:
+        raise ContractError(f"{error}; the last probe is not in it") from None
 
 
 def keep_text(path: Path, text: str) -> str:
@@ -114,5 +117,5 @@ def keep_text(path: Path, text: str) -> str:
             os.fsync(file.fileno())
         temporary.replace(path)
     except OSError as error:
-        raise ContractError(f"cannot write {path}: {error.strerror}; the last probe is not in it") from None
+        raise ContractError(f"cannot write {path}: {error.strerror}") from None
     return hashlib.sha256(text.encode()).hexdigest()

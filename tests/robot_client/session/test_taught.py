@@ -7,7 +7,7 @@ import pytest
 
 from robot_client.cli.commission import Probing, _commission
 from robot_client.cli.insert import with_commissioning
-from robot_client.session.commission.record import RECORD, Record
+from robot_client.session.commission.record import RECORD, Record, read_record
 from robot_client.session.commission.run import Ended
 from robot_client.session.commission.taught import CELL, teach
 from robot_client.settings import load_settings
@@ -97,7 +97,7 @@ class Taught(Cell):
         return ended._replace(stop=pressed(fast, 6.0, 0.0, frame_s=0.0).stop)
 
 
-def commissioned_by(cell, given, path, monkeypatch):
+def commissioned_by(cell, given, path, monkeypatch, probes_n=6):
     async def gives(*_, answer=None):
         return answer
 
@@ -107,7 +107,7 @@ def commissioned_by(cell, given, path, monkeypatch):
     for name, fake in {**fakes, "picture": partial(gives, answer="<svg/>")}.items():
         monkeypatch.setattr(probing, name, fake)
     record = Record(begun="today", seed=1, object="soap", approach_z_mm=35.0)
-    return asyncio.run(_commission(probing, 6, path, record, [None]))
+    return asyncio.run(_commission(probing, probes_n, path, record, [None]))
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -121,3 +121,15 @@ def test_insert_reads_what_a_commissioning_has_taught_and_one_with_mistakes_teac
         taught = load_settings(path.with_name(CELL))
         assert with_commissioning(taught, PLAN, asked=True).gels == {"left": "a", "right": "b"}
         assert taught.task.approach_z_mm == pytest.approx(35.0 - 2.0 + PROBING_MM_S * OPEN_S, abs=0.06)
+
+
+def test_a_disk_that_takes_no_taught_file_holds_the_cell_and_leaves_the_record(tmp_path, given, monkeypatch):
+    path, lines = tmp_path / RECORD, []
+    monkeypatch.setattr("robot_client.cli.commission.show", lines.append)
+    (tmp_path / "cell.tmp").symlink_to("/dev/full")
+    ended = commissioned_by(Taught(), given, path, monkeypatch, probes_n=8)
+    assert not ended.done
+    assert [line for line in lines if line.startswith("HOLD")] == [
+        f"HOLD  cannot write {path.with_name(CELL)}: No space left on device"
+    ]
+    assert read_record(path).done_n == 8
