@@ -18,6 +18,9 @@ from service.contract.wire import (
     ServiceHeartbeat,
 )
 
+MEANT: dict[str, Ending] = {"operator": "aborted", "probed": "probed", "afresh": "regrasped"}
+"""Outcomes by cause of what ended as it was meant to: they count neither as inserted nor as failed."""
+
 
 class Greeting(BaseModel):
     """What a `hello` of any protocol holds; its other fields need not be ours."""
@@ -58,9 +61,12 @@ def ending(cause: Cause | None) -> Ending:
     """The outcome of an insertion from its cause: inserted if there are no objections."""
     if cause is None:
         return "inserted"
-    if cause == "not_confirmed":
-        return "not_confirmed"
-    return "aborted" if cause in {"operator", "probed", "afresh"} else "failed"
+    return "not_confirmed" if cause == "not_confirmed" else MEANT.get(cause, "failed")
+
+
+def in_todays_words(outcome: str, cause: str | None) -> str:
+    """A recorded outcome in today's words: ``aborted`` once was all that ended as it was meant to."""
+    return MEANT.get(str(cause), outcome) if outcome == "aborted" else outcome
 
 
 def descended_n(cause: str | None, attempts_n: int, doubts: Sized) -> int:

@@ -243,7 +243,7 @@ class Finished(_Message):
     """The insertion is closed and its recording complete. Only the outcome ``inserted`` is an insertion.
 
     ``doubts``: for ``not_confirmed``, why full depth is not claimed (if only for a turned object, a client that
-    regrasps gets ``aborted`` for ``afresh``); for ``unwatched``, why frames that came were not judged.
+    regrasps gets ``regrasped``); for ``unwatched``, why frames that came were not judged.
     """
 
     type: Literal["finished"] = "finished"

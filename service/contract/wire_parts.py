@@ -16,7 +16,7 @@ ControllerName = Literal["heuristic", "belief"]
 CameraState = Literal["live", "stalled", "lost", "starting"]
 Cause = Literal[
     "operator",  # a person's wish
-    "probed",  # a probe did what it was asked to; like an operator's wish, this is no failure
+    "probed",  # a probe did what it was asked to
     "afresh",  # the object has turned in the hand; the client regrasps it and continues in a new insertion
     "attempts",  # as many as allowed, and still blocked
     "unwatched",  # the newest judged frame grew older than the lease
@@ -33,7 +33,7 @@ Cause = Literal[
     "timeout",
     "client",  # a defect of the client
 ]
-Ending = Literal["inserted", "not_confirmed", "failed", "aborted"]
+Ending = Literal["inserted", "not_confirmed", "failed", "aborted", "probed", "regrasped"]
 RefusalReason = Literal["no_reference", "nothing_held", "implausible_width", "turned_in_hand", "untrained"]
 NoDecisionReason = Literal[
     "no_motion",

@@ -5,7 +5,7 @@ from typing import Any
 import structlog
 
 from service.contract import wire
-from service.contract.replies import ending
+from service.contract.replies import MEANT
 from service.observability.hub import Hub
 
 log = structlog.get_logger()
@@ -35,7 +35,7 @@ def _on_event(kind: str, content: Any) -> None:
         level = log.warning if content.type in {"fault", "no_decision", "refused"} else log.info
         level(content.type, **line)
     elif kind == "client" and isinstance(content, wire.Abort):
-        level = log.info if ending(content.cause) == "aborted" else log.warning
+        level = log.info if content.cause in MEANT else log.warning
         level("abort", **facts(content))
     elif kind == "camera_fault":
         log.warning("camera", **content)

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from datetime import datetime
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from service.contract.frames import first_error
-from service.contract.replies import descended_n
+from service.contract.replies import MEANT, descended_n, in_todays_words
 from service.contract.wire import Finished
 from service.contract.wire_parts import errors_left
 from service.recordings.names import NAME
@@ -57,6 +57,11 @@ class Summary(BaseModel):
     brightness_grey: float | None = None
     gel_distance: float | None = None
 
+    @model_validator(mode="after")
+    def _outcome_in_todays_words(self) -> Self:
+        self.outcome = in_todays_words(self.outcome, self.cause)
+        return self
+
     @property
     def tried_n(self) -> int:
         """The attempts that went down."""
@@ -83,8 +88,8 @@ class Summary(BaseModel):
 
     @property
     def charted(self) -> dict[str, float]:
-        """Values for the control charts; none from an insertion that a person ended or that continued in another."""
-        if self.outcome == "aborted":
+        """Values for the control charts; none from an insertion that ended as it was meant to, before it was in."""
+        if self.outcome in MEANT.values():
             return {}
         held_n, stated_n = self.held_n
         reach = [one.reach_pitch for one in self.decisions if one.reach_pitch]

@@ -6,10 +6,13 @@ import re
 import subprocess
 import sys
 import threading
+from typing import get_args
 
 import pytest
 import yaml
 
+from service.contract import wire_parts
+from service.contract.replies import MEANT
 from service.contract.shipped import released_models
 from service.session.station import open_station
 from service.settings import Settings
@@ -146,6 +149,17 @@ def test_alerts_and_dashboard_read_only_metrics_that_the_service_has(path, tmp_p
     station.owned.close()
     metrics = Metrics(station)
     assert metrics_read((DOCKER / path).read_text()) <= {family.name for family in metrics.registry.collect()}
+
+
+@pytest.mark.parametrize("path", ["prometheus/alerts.yml", "grafana/dashboard.json"])
+def test_what_ended_as_it_was_meant_to_counts_neither_as_inserted_nor_as_failed(path):
+    """A panel may show how often a person stops the cell, beside the failures."""
+    text = (DOCKER / path).read_text().replace('\\"', '"')
+    named = [set(words.split("|")) for words in re.findall(r'\boutcome=~?"([^"]+)"', text)]
+    assert "outcome!" not in text, "what is left out of a list would count"
+    assert {"inserted", "failed"} <= set().union(*named) <= set(get_args(wire_parts.Ending))
+    tried = [words for words in named if words & set(MEANT.values())]
+    assert tried == ([{"not_confirmed", "failed", "aborted"}] if "grafana" in path else [])
 
 
 def test_a_figure_of_now_is_none_of_a_service_that_has_gone():

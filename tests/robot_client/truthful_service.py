@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from websockets.exceptions import ConnectionClosed
 
 from service.contract import wire
-from service.contract.replies import beat, clock
+from service.contract.replies import beat, clock, ending
 from simulation.cell.emulators.abb.cabinet import Cabinet
 
 FRAME_S = 0.03
@@ -130,5 +130,5 @@ class TruthfulService:
                 replies = [wire.Finished(**name, outcome="inserted", attempts=message.attempt)]
             case wire.Abort():
                 self._watching = False
-                replies = [wire.Finished(**name, outcome="aborted", attempts=self._attempt)]
+                replies = [wire.Finished(**name, outcome=ending(message.cause), attempts=self._attempt)]
         return replies

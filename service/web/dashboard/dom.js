@@ -3,7 +3,7 @@ const token = new URLSearchParams(location.search).get("token");
 
 export const at = (id) => document.getElementById(id);
 export const element = (kind, properties = {}, ...children) => { const made = Object.assign(document.createElement(kind), properties); made.append(...children); return made; };
-export const ending = ({ outcome, cause }) => (cause === "afresh" ? "regrasped" : [...new Set([outcome, cause])].filter(Boolean).join(": ").replaceAll("_", " "));
+export const ending = ({ outcome, cause }) => (outcome === "regrasped" ? outcome : [...new Set([outcome, cause])].filter(Boolean).join(": ").replaceAll("_", " "));
 export const withToken = (path) => (token ? `${path}${path.includes("?") ? "&" : "?"}token=${encodeURIComponent(token)}` : path);
 
 // A text is touched only when it changes: what is set anew is also announced anew.

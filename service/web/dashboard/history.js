@@ -6,6 +6,7 @@ import { play } from "/dashboard/player.js";
 const FILTERS = { object: "by-object", outcome: "by-outcome", cause: "by-cause" };
 const words = (text) => (text ?? "").replaceAll("_", " ");
 const RECENT = 20; // insertions of a moving mean
+const MEANT = ["aborted", "probed", "regrasped"]; // by a person, as a probe, or to be regrasped: neither inserted nor failed
 const LISTED = 500; // insertions at most, in the table and in the trends
 let all = [];
 at("by-id").oninput = show;
@@ -34,9 +35,9 @@ function options(select, values) {
 
 function show() {
   const chosen = all.filter((one) => Object.entries(FILTERS).every(([key, id]) => at(id).value === "*" || (one[key] ?? "") === at(id).value) && one.insertion_id.includes(at("by-id").value.trim()));
-  const inserted = chosen.filter(({ outcome }) => outcome === "inserted"), ended = chosen.filter(({ outcome }) => outcome !== "aborted"); // by a person, as a probe, or to be regrasped
-  const others = chosen.length - ended.length, more = chosen.length > LISTED ? `; the newest ${LISTED} listed` : "";
-  at("count").textContent = ended.length ? `${inserted.length} of ${ended.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}${others ? `; ${others} aborted, not counted` : ""}${more}` : chosen.length ? `${chosen.length} aborted` : "none";
+  const inserted = chosen.filter(({ outcome }) => outcome === "inserted"), ended = chosen.filter(({ outcome }) => !MEANT.includes(outcome));
+  const others = MEANT.map((meant) => [chosen.filter(({ outcome }) => outcome === meant).length, meant]).filter(([n]) => n).map((counted) => counted.join(" ")).join(", "), more = chosen.length > LISTED ? `; the newest ${LISTED} listed` : "";
+  at("count").textContent = ended.length ? `${inserted.length} of ${ended.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}${others ? `; ${others}, not counted` : ""}${more}` : others || "none";
   renew(at("past"), chosen.slice(0, LISTED).map(row));
   trend(ended.slice(0, LISTED).reverse());
 }
@@ -50,7 +51,7 @@ function when(started) {
 function row(one) {
   const cell = (textContent, className = "") => element("td", { textContent, className });
   const button = element("button", { type: "button", value: one.name, textContent: "Play", ariaLabel: `play back ${one.insertion_id}`, title: one.insertion_id, onclick: () => play(one) });
-  return element("tr", {}, cell(when(one.started)), cell(words(one.object) || "–"), cell(ending(one), one.outcome === "inserted" ? "good" : one.outcome === "aborted" ? "" : "bad"), cell(one.attempts), cell(one.seconds?.toFixed(1) ?? "–"), element("td", {}, button));
+  return element("tr", {}, cell(when(one.started)), cell(words(one.object) || "–"), cell(ending(one), one.outcome === "inserted" ? "good" : MEANT.includes(one.outcome) ? "" : "bad"), cell(one.attempts), cell(one.seconds?.toFixed(1) ?? "–"), element("td", {}, button));
 }
 
 const mean = (values) => (values.length ? values.reduce((sum, value) => sum + value, 0) / values.length : NaN);

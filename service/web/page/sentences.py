@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from service.contract import wire
+from service.contract.replies import MEANT
 from service.contract.words.causes import what_of
 from service.versions.versions import Rival, State
 
@@ -65,7 +66,7 @@ def ended(outcome: str, cause: str | None, attempts_n: int, named: str = "", afr
         what = named[:1].upper() + named[1:] if named else "Object"
         again = f", regrasped {TIMES.get(afresh_n, f'{afresh_n} times')}" if afresh_n else ""
         return f"{what} inserted after {attempts_n} attempt{'s' * (attempts_n != 1)}{again}"
-    if outcome == "aborted":
+    if outcome in MEANT.values():
         words = what_of(cause)
         return words[:1].upper() + words[1:]
     return f"{'Not inserted' if cause in MAY_GO_ON else 'Holding'}: {what_of(cause)}"

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from service.contract import FINGERS, wire
-from service.contract.replies import descended_n
+from service.contract.replies import MEANT, descended_n
 from service.contract.words.causes import CAUSES
 from service.observability.hub import Hub
 from service.session.station import Station
@@ -126,7 +126,7 @@ class Status:
         running.descended_n = running.earlier_n + descended_n(cause, message.attempts, message.doubts)
         self._running, self._put_back = None, running if cause == "afresh" else None
         self._put_back_s = time.monotonic()
-        if cause is not None and message.outcome != "aborted":
+        if cause is not None and cause not in MEANT:
             detail = "; ".join(doubt.detail for doubt in message.doubts) or running.problem
             self._alarms.sound(
                 f"insertion {message.insertion_id}",

@@ -79,7 +79,7 @@ def test_an_object_that_turned_on_its_way_in_is_taken_afresh_while_attempts_are_
     limits = PLAN.limits.model_copy(update={"max_attempts": attempts_n})
     plan = PLAN.model_copy(update={"fixture": True, "limits": limits})
     doubt = wire.Doubt(reason="moved_in_hand", detail="the gels show it turned")
-    ended = wire.Finished(insertion_id=ID, outcome="aborted", attempts=1, cause="afresh", doubts=(doubt,))
+    ended = wire.Finished(insertion_id=ID, outcome="regrasped", attempts=1, cause="afresh", doubts=(doubt,))
     state, commands = run([*TO_CLOSING, service(ended)], State(plan))
     assert (state.phase, state.tried_n) == (Phase.FAILED, 1)
     assert [c.message.takes_afresh for c in commands if isinstance(c, Send) and c.message.type == "hello"] == [True]

@@ -241,7 +241,7 @@ def test_an_insertion_closed_early_failed_by_what_the_service_says():
 @pytest.mark.parametrize("cause", [None, "afresh"])
 def test_an_insertion_whose_id_was_used_before_says_so_and_moves_nothing(cause):
     doubts = (wire.Doubt(reason="push", detail="still pushed"),) if cause else ()
-    outcome = "aborted" if cause else "inserted"
+    outcome = "regrasped" if cause else "inserted"
     before = wire.Finished(insertion_id=ID, outcome=outcome, attempts=1, cause=cause, doubts=doubts)
     state, commands = run([TO_ARMING[0], service(before)])
     assert state.phase is Phase.FAILED

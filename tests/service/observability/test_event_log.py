@@ -1,3 +1,5 @@
+from typing import get_args
+
 import structlog
 
 from service.contract import wire
@@ -35,9 +37,18 @@ def test_the_log_says_why_an_insertion_was_given_up_or_not_claimed() -> None:
     ]
     with structlog.testing.capture_logs() as lines:
         hub.publish("client", wire.Abort(insertion_id="logged", cause="limits", reason="limits: target: z 3.1 mm"))
-        hub.publish("client", wire.Abort(insertion_id="logged", cause="probed", reason="probed"))
         ended = wire.Finished(insertion_id="logged", outcome="not_confirmed", attempts=1, cause="not_confirmed")
         hub.publish("message", ended.model_copy(update={"doubts": tuple(doubts)}))
-    assert [(line["event"], line["log_level"]) for line in lines[:2]] == [("abort", "warning"), ("abort", "info")]
     assert (lines[0]["cause"], lines[0]["reason"]) == ("limits", "limits: target: z 3.1 mm")
-    assert lines[2]["doubts"] == "the gels still carry a push; gone"
+    assert lines[1]["doubts"] == "the gels still carry a push; gone"
+
+
+def test_the_log_warns_of_what_was_given_up_and_not_of_what_ended_as_it_was_meant_to() -> None:
+    hub = Hub()
+    log_events(hub)
+    causes = get_args(wire.Cause)
+    with structlog.testing.capture_logs() as lines:
+        for cause in causes:
+            hub.publish("client", wire.Abort(insertion_id="logged", cause=cause, reason=cause))
+    assert [line["event"] for line in lines] == ["abort"] * len(causes)
+    assert [line["cause"] for line in lines if line["log_level"] == "info"] == ["operator", "probed", "afresh"]

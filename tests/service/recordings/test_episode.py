@@ -104,15 +104,18 @@ def counted(live: LiveService) -> dict[tuple[str, str], float]:
 def test_failures_are_counted_by_cause_and_only_a_person_aborts(live: LiveService) -> None:
     before = counted(live)
     assert before["failed", "attempts"] == 0.0  # there from the start, or its first increase would not be seen
-    for number, cause in enumerate(("attempts", "unwatched", "operator", "attempts")):
+    assert before["regrasped", "afresh"] == 0.0
+    meant = {"operator": "aborted", "probed": "probed", "afresh": "regrasped"}
+    for number, cause in enumerate(("attempts", "unwatched", *meant, "attempts")):
         path = given_up(live, f"cause-{number}", cause)
         summary = json.loads((path.parent / "summary.json").read_text())
         assert summary["cause"] == cause
-        assert summary["outcome"] == ("aborted" if cause == "operator" else "failed")
+        assert summary["outcome"] == meant.get(cause, "failed")
     after = counted(live)
     grown = {key: after[key] - before.get(key, 0.0) for key in after if after[key] != before.get(key, 0.0)}
-    assert grown == {("failed", "attempts"): 2.0, ("failed", "unwatched"): 1.0, ("aborted", "operator"): 1.0}
+    once = {(outcome, cause): 1.0 for cause, outcome in meant.items()}
+    assert grown == {("failed", "attempts"): 2.0, ("failed", "unwatched"): 1.0} | once
     listed = httpx.get(live.url("/v1/recordings")).json()["recordings"]
     assert {r["cause"] for r in listed if r["insertion_id"].startswith("cause-")} == {
-        *("attempts", "unwatched", "operator")
+        *("attempts", "unwatched", *meant)
     }

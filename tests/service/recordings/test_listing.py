@@ -5,7 +5,9 @@ import os
 from pathlib import Path
 
 import httpx
+import pytest
 
+from service.recordings.listing import list_recordings
 from service.web.routes.recordings import Recordings
 from tests.service.process import ServiceProcess, service_process
 
@@ -20,6 +22,19 @@ def keep_many(root: Path) -> None:
         folder.mkdir(parents=True)
         facts = {"insertion_id": f"box-{number}", "outcome": "inserted", "attempts": 4, "decisions": decisions}
         (folder / "summary.json").write_text(json.dumps(facts))
+
+
+@pytest.mark.parametrize(
+    ("cause", "outcome"), [("operator", "aborted"), ("probed", "probed"), ("afresh", "regrasped"), (None, "aborted")]
+)
+def test_an_earlier_recording_is_listed_in_todays_words(tmp_path: Path, cause: str | None, outcome: str) -> None:
+    """All that ended as it was meant to once was `aborted`."""
+    folder = tmp_path / "20260101T000000_one"
+    folder.mkdir()
+    facts = {"insertion_id": "one", "outcome": "aborted", "cause": cause, "attempts": 1}
+    (folder / "summary.json").write_text(json.dumps(facts))
+    listed, problems = list_recordings(tmp_path)
+    assert ([one["outcome"] for one in listed], problems) == ([outcome], [])
 
 
 def loop_s(service: ServiceProcess) -> float:

@@ -120,7 +120,7 @@ def test_an_attempt_that_was_refused_for_a_regrasp_does_not_count_and_one_that_w
     client = Client(shared)
     client.connect("one")
     shared.receive(arm(), client.send)
-    ended = wire.Finished(insertion_id="one", outcome="failed", cause="afresh", attempts=2, doubts=doubts)
+    ended = wire.Finished(insertion_id="one", outcome="regrasped", cause="afresh", attempts=2, doubts=doubts)
     shared.active.publish("finished", ended)
     shared.connect(wire.ClientHello(insertion_id="two", client="test", continues="one"), client.send)
     assert shared.active.tried_n == tried_n
@@ -196,12 +196,13 @@ def test_no_token_is_kept_in_a_recording(shared: InsertionManager, tmp_path: Pat
     assert b"swordfish" not in recorded.read_bytes()
 
 
-def test_what_an_insertion_shows_of_the_cell_goes_into_its_charts_unless_a_person_ended_it(
+def test_what_an_insertion_shows_of_the_cell_goes_into_its_charts_unless_it_was_meant_to_end_before_it_was_in(
     shared: InsertionManager, models: ModelSet, tmp_path: Path
 ) -> None:
     ended = {"insertion_id": "one", "object": "box", "attempts": 2, "brightness_grey": 130.0}
     (tmp_path / "r").mkdir(exist_ok=True)
-    shared._chart({**ended, "outcome": "aborted"}, models)
+    for outcome in ("aborted", "probed", "regrasped"):
+        shared._chart({**ended, "outcome": outcome}, models)
     assert not (tmp_path / "r" / "charts.json").exists()
     shared._chart({**ended, "outcome": "inserted"}, models)
     charts = json.loads((tmp_path / "r" / "charts.json").read_text())["charts"]

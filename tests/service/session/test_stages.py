@@ -77,7 +77,7 @@ def test_who_arms_too_early_is_told_which_attempt_is_expected_and_why(session: I
         (None, True, []),
         ((), False, [("inserted", None)]),
         ((wire.Doubt(reason="push", detail="pushed"),), True, [("not_confirmed", "not_confirmed")]),
-        ((wire.Doubt(reason="moved_in_hand", detail="turned"),), True, [("aborted", "afresh")]),
+        ((wire.Doubt(reason="moved_in_hand", detail="turned"),), True, [("regrasped", "afresh")]),
         ((wire.Doubt(reason="moved_in_hand", detail="turned"),), False, [("not_confirmed", "not_confirmed")]),
     ],
 )

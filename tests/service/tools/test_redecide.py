@@ -16,7 +16,7 @@ from service.recordings.reader import Recording
 from service.recordings.writer import Recorder
 from service.session.factory import make_session
 from service.settings import Settings
-from service.tools.redecide import open_replay
+from service.tools.redecide import differences, open_replay
 from tests.service import tiny_models
 from tests.service.client import greeted
 from tests.service.conftest import LiveService, bearer, served
@@ -115,6 +115,14 @@ def test_an_insertion_that_went_on_with_an_object_taken_afresh_is_decided_again_
     alone = shutil.copytree(path.parent, tmp_path / path.parent.name)
     assert main(["replay", str(alone / path.name), "--models", str(models_folder)]) == 2
     assert "goes on with insertion first: expected its recording beside" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("cause", "now"), [("probed", "probed"), ("afresh", "regrasped")])
+def test_only_the_word_for_an_end_that_was_meant_may_differ_from_an_earlier_recording(cause: str, now: str) -> None:
+    then = {"type": "finished", "outcome": "aborted", "cause": cause, "attempts": 1}
+    assert differences([then], [{**then, "outcome": now}]) == []
+    for other in ({"outcome": "failed"}, {"outcome": "inserted"}, {"attempts": 2}, {"outcome": now, "cause": "link"}):
+        assert differences([then], [then | other]) != []
 
 
 @pytest.mark.parametrize("named", [[], ["0" * 64]])

@@ -64,16 +64,17 @@ def test_a_playback_ends_with_how_and_why_the_insertion_ended(live: LiveService,
     assert page.problems == []
 
 
-def test_what_a_person_ended_is_listed_and_counts_neither_as_tried_nor_in_the_trend(
+def test_what_ended_as_it_was_meant_to_is_listed_and_counts_neither_as_tried_nor_in_the_trend(
     live: LiveService, page: Any
 ) -> None:
     for name in ("ended once", "ended twice"):
         insertion(live, name.replace(" ", "-")).gives_up()
+    insertion(live, "probe").gives_up("probed", "a probe, done")
+    insertion(live, "turned").gives_up("afresh", "turned")
     insertion(live, "failed").gives_up("arm", "arm: controller: motors off")
     page.goto(live.url("/#history"))
-    wait_until(
-        page, "/of [0-9]+ inserted.*; [0-9]+ aborted, not counted$/.test(document.getElementById('count').textContent)"
-    )
+    counted = "/of [0-9]+ inserted.*; [0-9]+ aborted, [0-9]+ probed, [0-9]+ regrasped, not counted$/"
+    wait_until(page, f"{counted}.test(document.getElementById('count').textContent)")
     page.get_by_label("Outcome").select_option("aborted")
     wait_until(page, "/^[0-9]+ aborted$/.test(document.getElementById('count').textContent)")
     wait_until(page, "document.getElementById('trend').textContent.includes('needs two insertions')")

@@ -79,7 +79,7 @@ def test_a_restart_long_after_nothing_went_on_sounds_once(live: LiveService, mon
 def ended(root: Path, second: int, **facts: Any) -> None:
     folder = root / f"20260101T0000{second:02d}_{facts['insertion_id']}"
     folder.mkdir()
-    (folder / "summary.json").write_text(json.dumps({"outcome": "aborted", "cause": "afresh", **facts}))
+    (folder / "summary.json").write_text(json.dumps({"outcome": "regrasped", "cause": "afresh", **facts}))
 
 
 def test_an_attempt_that_went_down_counts_although_the_object_is_taken_afresh(tmp_path: Path) -> None:
@@ -102,7 +102,9 @@ def test_the_page_counts_a_doubted_attempt(live: LiveService) -> None:
     status, publish = Status(live.station), live.station.hub.publish
     opened = {"models": (), "cameras": (), "controller": "belief", "limits": live.station.settings.limits}
     publish("message", wire.ServiceHello(insertion_id="a", **opened))
-    publish("message", wire.Finished(insertion_id="a", outcome="aborted", attempts=1, cause="afresh", doubts=(DOUBT,)))
+    publish(
+        "message", wire.Finished(insertion_id="a", outcome="regrasped", attempts=1, cause="afresh", doubts=(DOUBT,))
+    )
     publish("client", wire.ClientHello(insertion_id="b", client="test", continues="a"))
     publish("message", wire.ServiceHello(insertion_id="b", **opened))
     publish("message", wire.Finished(insertion_id="b", outcome="inserted", attempts=1))

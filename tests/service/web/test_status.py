@@ -100,11 +100,19 @@ def test_an_object_that_is_taken_afresh_holds_nothing_up_and_its_attempts_are_co
     again.gives_up()
     assert until(live, lambda shown: shown["running"] is None)["last"]["attempts"] == 2
     listed = {one["insertion_id"]: one for one in httpx.get(live.url("/v1/recordings")).json()["recordings"]}
-    assert (listed["turned"]["outcome"], listed["turned"]["cause"]) == ("aborted", "afresh")
+    assert (listed["turned"]["outcome"], listed["turned"]["cause"]) == ("regrasped", "afresh")
     assert listed["again"]["continues"] == "turned"
     assert ended("inserted", None, 3, "rectangle", 1) == "Rectangle inserted after 3 attempts, regrasped once"
     finished = wire.Finished(insertion_id="again", outcome="inserted", attempts=2)
     assert event(finished, earlier_n=1) == "object inserted after 3 attempts", "as the headline counts"
+
+
+def test_a_probe_that_is_done_is_no_alarm(live: LiveService) -> None:
+    before = status(live)["alarms"]
+    greeted(live, "probe").gives_up("probed", "a probe, done")
+    shown = until(live, lambda shown: shown["running"] is None and shown["last"]["insertion_id"] == "probe")
+    assert (shown["last"]["outcome"], shown["last"]["words"]) == ("probed", "A probe, done")
+    assert (shown["alarms"], shown["headline"]["level"]) == (before, "good")
 
 
 @pytest.mark.parametrize("reason", REJECTED)
