@@ -75,6 +75,11 @@ def test_what_ended_as_it_was_meant_to_is_listed_and_counts_neither_as_tried_nor
     page.goto(live.url("/#history"))
     counted = "/of [0-9]+ inserted.*; [0-9]+ aborted, [0-9]+ probed, [0-9]+ regrasped, not counted$/"
     wait_until(page, f"{counted}.test(document.getElementById('count').textContent)")
+    for outcome in ("probed", "regrasped"):
+        page.get_by_label("Outcome").select_option(outcome)
+        wait_until(page, f"/^[0-9]+ {outcome}$/.test(document.getElementById('count').textContent)")
+        how = page.locator("#past tr:first-child td:nth-child(3)")
+        assert (how.text_content(), how.get_attribute("class")) == (outcome, ""), "in no colour of a failure"
     page.get_by_label("Outcome").select_option("aborted")
     wait_until(page, "/^[0-9]+ aborted$/.test(document.getElementById('count').textContent)")
     wait_until(page, "document.getElementById('trend').textContent.includes('needs two insertions')")
