@@ -21,11 +21,11 @@ class Running:
     ``ghosts`` are poses drawn from the belief, evenly by probability: the closer together, the more certain. ``target``
     is the destination of the move. ``afresh_n``: number of regrasps, after ``earlier_n`` attempts in all, which
     ``attempt`` includes; ``descended_n``: all those that went down, once it has ended. ``depth_mm``: below the start of
-    the descent.
+    the descent. ``began_s``: on the steady clock of the service.
     """
 
     insertion_id: str
-    began_s: float = field(default_factory=time.time)
+    began_s: float = field(default_factory=time.monotonic)
     phase: str = "start"
     attempt: int = 0
     afresh_n: int = 0

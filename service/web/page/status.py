@@ -115,14 +115,11 @@ class Status:
             self._running.believes(command)
 
     def _on_finished(self, message: wire.Finished, running: Running) -> None:
-        now_s = time.time()
         cause = message.cause
         attempts_n = running.earlier_n + message.attempts
         words = ended(message.outcome, cause, attempts_n, running.object, running.afresh_n)
-        took_s = now_s - running.began_s
-        self._last = Last(
-            message.insertion_id, message.outcome, cause, words, attempts_n, running.object, now_s, took_s
-        )
+        at_s, took_s = time.time(), time.monotonic() - running.began_s  # the wall clock may have been set meanwhile
+        self._last = Last(message.insertion_id, message.outcome, cause, words, attempts_n, running.object, at_s, took_s)
         running.descended_n = running.earlier_n + descended_n(cause, message.attempts, message.doubts)
         self._running, self._put_back = None, running if cause == "afresh" else None
         self._put_back_s = time.monotonic()

@@ -1,8 +1,10 @@
 """The page's data: one snapshot, the same for early and late pages."""
 
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -113,6 +115,20 @@ def test_a_probe_that_is_done_is_no_alarm(live: LiveService) -> None:
     shown = until(live, lambda shown: shown["running"] is None and shown["last"]["insertion_id"] == "probe")
     assert (shown["last"]["outcome"], shown["last"]["words"]) == ("probed", "A probe, done")
     assert (shown["alarms"], shown["headline"]["level"]) == (before, "good")
+
+
+@pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
+def test_an_insertion_took_as_long_as_it_took_though_the_wall_clock_was_set_in_it(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch, step_s: float
+) -> None:
+    driver = greeted(live, f"set{'-back' if step_s < 0 else '-forward'}")
+    until(live, lambda shown: shown["running"] and shown["running"]["insertion_id"] == driver.id)
+    stepped = SimpleNamespace(time=lambda: time.time() + step_s, monotonic=time.monotonic)
+    monkeypatch.setattr("service.web.page.status.time", stepped)
+    driver.gives_up()
+    last = until(live, lambda shown: shown["running"] is None and shown["last"]["insertion_id"] == driver.id)["last"]
+    assert abs(last["at_s"] - time.time()) > 3000.0, "the clock was set"
+    assert 0.0 < last["seconds"] < 60.0
 
 
 @pytest.mark.parametrize("reason", REJECTED)
