@@ -12,6 +12,7 @@ from urllib.request import Request, urlopen
 from simulation.cell.children import Child
 from simulation.cell.run import Loop
 from simulation.studies.motion_bounds.relay import Relay, Way
+from simulation.studies.motion_bounds.wall_clock import set_ahead
 
 Phase = Literal["arming", "air", "contact", "deciding", "retracting"]
 DESCENT: tuple[Phase, ...] = ("air", "contact")
@@ -44,7 +45,7 @@ Inject = Callable[[Bench], None]
 class Fault:
     """``hides_s``: age of a picture beyond its stamp; inf: from the fault on it shows nothing new.
 
-    ``unstamped``: the cameras never stamped a picture.
+    ``unstamped``: the cameras never stamped a picture. ``sets_clock``: the processes' wall clocks can be set.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Fault:
     phases: tuple[Phase, ...] = DESCENT
     hides_s: float = 0.0
     unstamped: bool = False
+    sets_clock: bool = False
 
 
 def _stopped(who: str, seconds: float) -> Inject:
@@ -72,6 +74,10 @@ def _killed(who: str) -> Inject:
     return inject
 
 
+def _clock(who: str, ahead_s: int) -> Inject:
+    return lambda bench: set_ahead(getattr(bench.loop, who).process.pid, ahead_s)
+
+
 def _link(way: Way, late_s: float = 0.0) -> Inject:
     return lambda bench: bench.relay.misbehave(way, late_s)
 
@@ -84,6 +90,7 @@ def _cameras(*fingers: str, **fault: Any) -> Inject:
 
 
 BOTH = ("left", "right")
+HOUR_S = 3600  # longer than either program waits for or tolerates anything, and what a wrong time zone makes
 FAULTS: tuple[Fault, ...] = (
     *(Fault(f"service stopped {s:g} s", _stopped("service", s), EVERYWHERE) for s in (0.2, 1.0, 5.0)),
     *(Fault(f"client stopped {s:g} s", _stopped("client", s), EVERYWHERE) for s in (0.2, 1.0, 5.0)),
@@ -116,4 +123,9 @@ FAULTS: tuple[Fault, ...] = (
         for ms in (100, 200, 300)
     ),
     Fault("cameras cease to stamp, 300 ms late", _cameras(*BOTH, delay_ms=300, unstamped=True), hides_s=0.3),
+    *(
+        Fault(f"{who} wall clock set {way} by 1 h", _clock(who, ahead_s), sets_clock=True)
+        for who in ("service", "client")
+        for way, ahead_s in (("forward", HOUR_S), ("back", -HOUR_S))
+    ),
 )

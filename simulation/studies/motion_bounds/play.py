@@ -15,6 +15,7 @@ from simulation.cell.children import Child, ChildError
 from simulation.cell.run import RunOptions, Start, loop
 from simulation.studies.motion_bounds.faults import BOTH, Bench, Fault, Phase, ask
 from simulation.studies.motion_bounds.relay import Relay
+from simulation.studies.motion_bounds.wall_clock import settable
 
 MOST_N = 25.0
 AIR_MM = 1.5  # below the approach pose
@@ -67,7 +68,9 @@ def play(fault: Fault, phase: Phase, options: RunOptions, folder: Path) -> Row:
             _never_stamp(folder)
         return relays[-1].url
 
-    with loop(Start(options.object, 8.0, 6.0, options.seed), options, folder, through) as running:
+    start = Start(options.object, 8.0, 6.0, options.seed)
+    clocks = settable() if fault.sets_clock else contextlib.nullcontext()
+    with clocks, loop(start, options, folder, through) as running:
         bench = Bench(running, relays[0])
         injected_ns = _inject(fault, phase, bench)
         hung = not _ended(running.client)
