@@ -34,7 +34,8 @@ def bounds_page(data: dict[str, Any]) -> str:
         A descent only continues while frames are judged ([the motion lease](decisions/0051-motion-lease.md)). The test
         injects a fault into each of {len(rows)} live insertions; {met} took effect in the intended phase. The simulated
         cell, the service and the client are separate processes, and a relay degrades the network between the last two.
-        The arm descends as shipped, at 10 mm/s and at 5 mm/s around the tops of the blocks, with a lag of 20 ms.
+        A wall clock is set in one process alone, by a library that is compiled for it and loaded before it. The arm
+        descends as shipped, at 10 mm/s and at 5 mm/s around the tops of the blocks, with a lag of 20 ms.
 
         - **Travel**: the largest distance downwards, standstill included, after the capture of the last frame that
           showed the world and was judged.
