@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from unittest.mock import patch
 
 SOURCE = Path(__file__).with_suffix(".c")
 FOLDER = "WALL_CLOCKS"  # in the environment: a file for each process, named by its id
@@ -18,11 +19,8 @@ def settable() -> Iterator[None]:
     with TemporaryDirectory() as folder:
         library = f"{folder}/wall_clock.so"
         subprocess.run(("cc", "-O2", "-shared", "-fPIC", "-o", library, SOURCE), check=True)
-        os.environ |= {"LD_PRELOAD": library, FOLDER: folder}
-        try:
+        with patch.dict(os.environ, {"LD_PRELOAD": library, FOLDER: folder}):
             yield
-        finally:
-            del os.environ["LD_PRELOAD"], os.environ[FOLDER]
 
 
 def set_ahead(process_id: int, seconds: int) -> None:
