@@ -87,9 +87,9 @@ async function acknowledge(number) {
 
 // Frames dropped within the last minute; what happened long ago must not stay red until the service restarts.
 function growing(count) {
-  if (grew.count !== undefined && count > grew.count) grew.at = Date.now();
+  if (grew.count !== undefined && count > grew.count) grew.at = performance.now();
   grew.count = count;
-  return Date.now() - grew.at < 60_000;
+  return performance.now() - grew.at < 60_000;
 }
 
 function showHealth(health) {

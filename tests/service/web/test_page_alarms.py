@@ -38,6 +38,7 @@ def test_an_alarm_of_another_day_says_which(browser: Any, tmp_path: Path, models
     alarms = Alarms(tmp_path / "recordings" / FILE)
     alarms.sound("insertion old", "stop", "Holding: all attempts used")
     alarms.sound("insertion new", "stop", "Holding: a fault of the arm")
+    Alarms(tmp_path / "recordings" / FILE)  # reads behind what is being written
     facts = json.loads((tmp_path / "recordings" / FILE).read_text())
     facts[1]["at_s"] -= 3 * 86_400
     (tmp_path / "recordings" / FILE).write_text(json.dumps(facts))
@@ -51,3 +52,19 @@ def test_an_alarm_of_another_day_says_which(browser: Any, tmp_path: Path, models
         now = time.gmtime(httpx.get(live.url("/v1/status")).json()["now_s"] - 3 * 86_400)
     assert f"{now.tm_mday} {time.strftime('%b', now)}, " in old
     assert re.search(r"arm\d\d:\d\d:\d\d, not acknowledged", new), "no date on those of today"
+
+
+def test_dropped_frames_are_shown_for_a_minute_though_the_viewers_clock_is_set_back(
+    live: LiveService, browser: Any
+) -> None:
+    page, dropped = browser.new_page(), "document.getElementById('health').textContent.includes('dropped')"
+    page.clock.install()
+    page.goto(live.url("/"))
+    wait_until(page, "document.querySelectorAll('#health .good').length >= 2")
+    assert not page.evaluate(dropped)
+    live.station.counters.frames_dropped_n += 1
+    wait_until(page, dropped)
+    page.clock.set_system_time(time.time() - 3600)
+    page.clock.fast_forward("01:01")
+    wait_until(page, f"document.querySelectorAll('#health .good').length >= 2 && !{dropped}")
+    page.close()
