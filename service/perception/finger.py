@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import ContractError, Finger, FrameSpec, TactileFrame
-from service.perception.markers.fingerprint import OTHER_GEL, TELLING_N, fingerprint_of, likeness
+from service.perception.identity import compared, unlike
 from service.perception.markers.liveness import Liveness
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.observation import Observation
@@ -25,17 +25,24 @@ class TactileFinger:
     """One finger's perception chain; accepts rectified frames and, with a calibration, raw ones.
 
     Where both have one size, as of the GelSight Mini, a frame is raw if there is a calibration.
-    ``spec`` is the rectified frame that the networks expect; ``imprint``: also follow the imprint.
+    ``spec`` is the rectified frame that the networks expect; ``beside``: the other finger's calibration, by which
+    swapped cameras are known; ``imprint``: also follow the imprint.
     """
 
     def __init__(
-        self, finger: Finger, spec: FrameSpec, calibration: CameraCalibration | None = None, *, imprint: bool = True
+        self,
+        finger: Finger,
+        spec: FrameSpec,
+        calibration: CameraCalibration | None = None,
+        *,
+        beside: CameraCalibration | None = None,
+        imprint: bool = True,
     ) -> None:
         self.finger = finger
         self._spec = spec
         self._rectifier = Rectifier(calibration) if calibration else None
-        measured = calibration.measured if calibration else None
-        self._fingerprint = measured.fingerprint if measured else ""
+        self._measured = calibration.measured if calibration else None
+        self._beside = beside
         self._tracker = MarkerTracker()
         self._liveness = Liveness()
         self._slip = SlipDetector()
@@ -66,15 +73,12 @@ class TactileFinger:
         except ValueError as error:
             return str(error)
         self._liveness.learn_open(image)
-        alike = likeness(self._fingerprint, fingerprint_of(field))
-        self.gel_distance = None if alike is None else 1.0 - alike
-        if alike is None or alike >= OTHER_GEL or field.valid.sum() < TELLING_N:
+        known = compared(self._measured, image, field)
+        self.gel_distance = None if known.alike is None else 1.0 - known.alike
+        why = unlike(known, self._beside, frame.pixels)
+        if not why:
             self._tracker = tracker
-            return ""
-        return (
-            f"this is not the gel that the camera was calibrated with (fingerprints {alike:.2f} alike, expected"
-            f" {OTHER_GEL:g}): are the cameras swapped, has one moved, is it another gel, or does something touch it?"
-        )
+        return why
 
     def forget_open(self) -> None:
         """What was learnt as the open gel was none: only its print can tell whether it is touched."""

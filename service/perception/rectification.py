@@ -8,7 +8,8 @@ missing in older files.
 Where the lens bends the rows, the homography starts from its ideal picture: ``lens_centre_px``, ``lens_scale_px``,
 ``lens_k`` (k1, k2). Where the gel does, ``warp_low_px``, ``warp_high_px`` and ``warp_px`` (2 rows of coefficients)
 correct its result (:mod:`service.perception.lens`). Measurements are stored with it: ``date``, ``serial``,
-``residual_px``, ``found_share``, ``fingerprint`` (:mod:`service.perception.markers.fingerprint`).
+``residual_px``, ``found_share``, ``fingerprint`` (:mod:`service.perception.markers.fingerprint`), and ``light``
+(:mod:`service.perception.light`), which is missing in older files.
 """
 
 import json
@@ -27,6 +28,7 @@ from service.contract.frames import Contract
 from service.contract.refusals import describe, nearest
 from service.contract.toml import parse_toml
 from service.perception.lens import Lens, Projection, Warp, order_of
+from service.perception.light import check_light
 from service.perception.markers.fingerprint import check_fingerprint
 
 SCHEMA_VERSION = 1
@@ -44,7 +46,8 @@ class Measured:
     """Provenance of a calibration.
 
     ISO ``date``; ``serial`` of the camera, "" if it has none; ``residual_px``, RMS distance of the markers from the
-    regular grid in rectified px; ``found_share`` of the grid's markers; ``fingerprint`` of the gel.
+    regular grid in rectified px; ``found_share`` of the grid's markers; ``fingerprint`` and ``light`` of the gel, "" if
+    not known.
     """
 
     date: str
@@ -52,6 +55,7 @@ class Measured:
     residual_px: float
     found_share: float
     fingerprint: str
+    light: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,6 +184,7 @@ class _CameraTable(Contract):
     residual_px: float | None = None
     found_share: float | None = None
     fingerprint: str = ""
+    light: str = ""
 
     def lens(self) -> Lens | None:
         if self.lens_centre_px is None or self.lens_scale_px is None or self.lens_k is None:
@@ -199,7 +204,8 @@ class _CameraTable(Contract):
         if self.date is None or self.residual_px is None or self.found_share is None:
             return None
         check_fingerprint(self.fingerprint)
-        return Measured(self.date, self.serial, self.residual_px, self.found_share, self.fingerprint)
+        check_light(self.light)
+        return Measured(self.date, self.serial, self.residual_px, self.found_share, self.fingerprint, self.light)
 
 
 def _written(finger: Finger, camera: CameraCalibration) -> list[str]:

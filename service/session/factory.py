@@ -21,7 +21,9 @@ def make_session(
     ``imprint``: slides of the imprint between the markers stop the arm, too.
     """
     spec = models.card.frame
+    cameras = (calibration.left, calibration.right) if calibration else (None, None)
     left, right = (
-        TactileFinger(f, spec, calibration.camera(f) if calibration else None, imprint=imprint) for f in FINGERS
+        TactileFinger(finger, spec, own, beside=other, imprint=imprint)
+        for finger, own, other in zip(FINGERS, cameras, cameras[::-1], strict=True)
     )
     return InsertionSession(models, left, right, controller, limits)

@@ -22,6 +22,7 @@ from service.cameras.sources import open_source
 from service.contract import Finger, FrameSpec, Sensor
 from service.contract.sensor import Edge
 from service.perception.lens import transformed
+from service.perception.light import light_of
 from service.perception.markers.fingerprint import fingerprint_of
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.rectification import CalibrationError, CameraCalibration, Measured, Rectifier
@@ -115,13 +116,14 @@ def rectify(image: NDArray[np.uint8], grid: GridFit, sensor: Sensor, serial: str
     residual_px = float(np.sqrt(np.square(grid.off).sum(-1).mean())) * sensor.marker_pitch_px
     raw = FrameSpec(height_px=image.shape[0], width_px=image.shape[1], rectified=False)
     camera = CameraCalibration(projection.homography, raw, sensor.rectified, projection.lens, projection.warp)
-    field = MarkerTracker().update(Rectifier(camera).apply(image), 0)
+    rectified = Rectifier(camera).apply(image)
     measured = Measured(
         datetime.now(UTC).isoformat(timespec="seconds"),
         serial,
         round(residual_px, 4),
         round(float(grid.present.mean()), 4),
-        fingerprint_of(field),
+        fingerprint_of(MarkerTracker().update(rectified, 0)),
+        light_of(rectified),
     )
     camera = replace(camera, measured=measured, mm_per_px=sensor.mm_per_px)
     return Fit(camera, grid, residual_px, first, sensor.marker_pitch_px)

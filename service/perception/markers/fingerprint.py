@@ -18,7 +18,8 @@ _ABSENT = -128
 _LEAST_N = 24
 _SLID = 2  # rows or columns at a border that may differ on both sides
 OTHER_GEL = 0.5  # likeness below which two fingerprints certainly belong to two gels of a kind
-TELLING_N = 150  # markers; with fewer, too much depends on which are found for a gel to be refused
+SAME_GEL = 0.95  # likeness from which they certainly belong to one, however few markers are compared
+TELLING_N = 150  # markers; with fewer, too much depends on which are found for a gel to be refused by them
 
 
 def fingerprint(off: NDArray[np.float64], visible: NDArray[np.bool_]) -> str:

@@ -199,9 +199,9 @@ def test_an_absent_camera_is_one_line_and_exit_2(tmp_path, capsys):
 def test_a_finger_learns_the_gel_that_it_was_calibrated_with_and_no_other(seed: int):
     """Swapped cameras each look correct; the print distinguishes them."""
     cameras = {finger: renderer(finger, seed) for finger in FINGERS}
-    for finger in FINGERS:
-        calibration = fit_camera(still(cameras[finger]), finger, Sensor.load()).camera
-        watch = TactileFinger(finger, Sensor.load().rectified, calibration)
+    own = {finger: fit_camera(still(cameras[finger]), finger, Sensor.load()).camera for finger in FINGERS}
+    for finger, other in (FINGERS, FINGERS[::-1]):
+        watch = TactileFinger(finger, Sensor.load().rectified, own[finger], beside=own[other])
         for shown in FINGERS:
             why = watch.learn_open(TactileFrame(finger, 1, 1, cameras[shown].raw(REST, 7)))
             assert ("swapped" in why) == (shown != finger), why

@@ -1,0 +1,69 @@
+"""Whether an open gel is the one that its camera was calibrated with: by its print, or with few markers by its light.
+
+Which of few markers are found decides how alike two prints seem. Own prints of real gels with 30 to 75 markers were
+0.29 to 1.00 alike, others' up to 0.93; their lights told all of them apart
+(docs/decisions/0224-few-markers-leave-the-gel-to-its-light.md).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.perception.light import OTHER_LIGHT, light_apart, light_of
+from service.perception.markers.field import MarkerField
+from service.perception.markers.fingerprint import OTHER_GEL, SAME_GEL, TELLING_N, fingerprint_of, likeness
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.rectification import CameraCalibration, Measured, Rectifier
+
+
+class Compared(NamedTuple):
+    """An open gel beside a calibrated one: how alike their prints are, how far apart their lights, markers found."""
+
+    alike: float | None
+    apart: float | None
+    markers_n: int
+
+    @property
+    def same(self) -> bool | None:
+        """Whether they are one gel; None: that cannot be told."""
+        if self.markers_n >= TELLING_N:
+            return None if self.alike is None else self.alike >= OTHER_GEL
+        if self.apart is None:
+            return None
+        return self.apart < OTHER_LIGHT or (self.alike is not None and self.alike >= SAME_GEL)
+
+    def __str__(self) -> str:
+        if self.markers_n >= TELLING_N:
+            return f"fingerprints {self.alike:.2f} alike, expected {OTHER_GEL:g}"
+        return f"light {self.apart:.1%} apart, allowed {OTHER_LIGHT:.0%}"
+
+
+def compared(measured: Measured | None, image: NDArray[np.uint8], field: MarkerField) -> Compared:
+    """An open gel's rectified picture and markers beside what was measured at a calibration."""
+    markers_n = int(field.valid.sum())
+    if measured is None:
+        return Compared(None, None, markers_n)
+    return Compared(
+        likeness(measured.fingerprint, fingerprint_of(field)), light_apart(measured.light, light_of(image)), markers_n
+    )
+
+
+def unlike(known: Compared, beside: CameraCalibration | None, raw: NDArray[np.uint8]) -> str:
+    """Why a raw frame does not show the calibrated gel, or "" where it may; ``beside`` is the other finger's."""
+    if known.same is not False:
+        return ""
+    cause = (
+        "it is the other finger's: the cameras are swapped"
+        if beside is not None and shows(beside, raw)
+        else "has the camera moved, is it another gel, or does something touch or light it?"
+    )
+    return f"this is not the gel that the camera was calibrated with ({known}): {cause}"
+
+
+def shows(camera: CameraCalibration, raw: NDArray[np.uint8]) -> bool:
+    """Whether a raw frame certainly shows the open gel that ``camera`` was calibrated with."""
+    if raw.shape != camera.raw.shape:
+        return False
+    image = Rectifier(camera).apply(raw)
+    return compared(camera.measured, image, MarkerTracker().update(image, 0)).same is True
