@@ -129,6 +129,7 @@ async def _service(settings: Settings) -> list[Finding]:
         Finding(True, f"protocol {hello.protocol}, controller {hello.controller}"),
         *(Finding(True, f"model {entry.card.name} {entry.sha256[:12]}") for entry in hello.models),
         *(Finding(camera.state == "live", f"camera {camera.finger} {camera.state}") for camera in hello.cameras),
+        *(Finding(False, f"{camera.finger} gel: {camera.gel_doubt}") for camera in hello.cameras if camera.gel_doubt),
         examine_cameras(settings, hello.cameras),
     ]
 

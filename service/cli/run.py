@@ -14,6 +14,7 @@ import structlog
 from service.contract.text import printable
 from service.observability.event_log import log_events
 from service.observability.log_lines import LogLines
+from service.perception.identity import untold
 from service.session.memory import stop_searching_what_stays, use_few_arenas
 from service.session.station import open_station
 from service.settings import Settings, read_settings
@@ -90,6 +91,8 @@ def main(arguments: Sequence[str]) -> int:
     ):
         station = open_station(settings)
         log_events(station.hub)
+        if why := untold(station.manager.calibration):
+            structlog.get_logger().warning("calibration", detail=f"{why}; calibrate again")
         station.start()
         try:
             station.wait_for_cameras(settings.camera_wait_s)

@@ -111,13 +111,17 @@ class ModelEntry(Contract):
 
 
 class CameraEntry(Contract):
-    """State of one finger's camera; ``gel`` names the gel that it was calibrated with, if that is known."""
+    """State of one finger's camera; ``gel`` names the gel that it was calibrated with, if that is known.
+
+    ``gel_doubt``: why its newest picture does not show that gel open; only a watcher is told, and between insertions.
+    """
 
     finger: Finger
     source: str
     state: CameraState
     frame_rate_hz: float | None = None
     gel: str = Field(default="", max_length=64)
+    gel_doubt: str = ""
 
 
 class Limits(Contract):

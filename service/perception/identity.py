@@ -10,11 +10,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from service.contract import FINGERS
 from service.perception.light import OTHER_LIGHT, light_apart, light_of
 from service.perception.markers.field import MarkerField
-from service.perception.markers.fingerprint import OTHER_GEL, SAME_GEL, TELLING_N, fingerprint_of, likeness
+from service.perception.markers.fingerprint import (
+    OTHER_GEL,
+    SAME_GEL,
+    TELLING_N,
+    fingerprint_of,
+    likeness,
+    markers_n,
+)
 from service.perception.markers.tracker import MarkerTracker
-from service.perception.rectification import CameraCalibration, Measured, Rectifier
+from service.perception.rectification import Calibration, CameraCalibration, Measured, Rectifier
 
 
 class Compared(NamedTuple):
@@ -22,31 +30,30 @@ class Compared(NamedTuple):
 
     alike: float | None
     apart: float | None
-    markers_n: int
+    found_n: int
 
     @property
     def same(self) -> bool | None:
         """Whether they are one gel; None: that cannot be told."""
-        if self.markers_n >= TELLING_N:
+        if self.found_n >= TELLING_N:
             return None if self.alike is None else self.alike >= OTHER_GEL
         if self.apart is None:
             return None
         return self.apart < OTHER_LIGHT or (self.alike is not None and self.alike >= SAME_GEL)
 
     def __str__(self) -> str:
-        if self.markers_n >= TELLING_N:
+        if self.found_n >= TELLING_N:
             return f"fingerprints {self.alike:.2f} alike, expected {OTHER_GEL:g}"
         return f"light {self.apart:.1%} apart, allowed {OTHER_LIGHT:.0%}"
 
 
 def compared(measured: Measured | None, image: NDArray[np.uint8], field: MarkerField) -> Compared:
     """An open gel's rectified picture and markers beside what was measured at a calibration."""
-    markers_n = int(field.valid.sum())
+    found_n = int(field.valid.sum())
     if measured is None:
-        return Compared(None, None, markers_n)
-    return Compared(
-        likeness(measured.fingerprint, fingerprint_of(field)), light_apart(measured.light, light_of(image)), markers_n
-    )
+        return Compared(None, None, found_n)
+    alike = likeness(measured.fingerprint, fingerprint_of(field))
+    return Compared(alike, light_apart(measured.light, light_of(image)), found_n)
 
 
 def unlike(known: Compared, beside: CameraCalibration | None, raw: NDArray[np.uint8]) -> str:
@@ -61,9 +68,32 @@ def unlike(known: Compared, beside: CameraCalibration | None, raw: NDArray[np.ui
     return f"this is not the gel that the camera was calibrated with ({known}): {cause}"
 
 
+def doubt(own: CameraCalibration, beside: CameraCalibration, raw: NDArray[np.uint8]) -> str:
+    """Why a camera's frame does not show the open gel that it was calibrated with, or "" where it may."""
+    known = _of_raw(own, raw)
+    return "" if known is None else unlike(known, beside, raw)
+
+
 def shows(camera: CameraCalibration, raw: NDArray[np.uint8]) -> bool:
     """Whether a raw frame certainly shows the open gel that ``camera`` was calibrated with."""
+    known = _of_raw(camera, raw)
+    return known is not None and known.same is True
+
+
+def _of_raw(camera: CameraCalibration, raw: NDArray[np.uint8]) -> Compared | None:
+    """A raw frame beside a calibration; None if it has another size."""
     if raw.shape != camera.raw.shape:
-        return False
+        return None
     image = Rectifier(camera).apply(raw)
-    return compared(camera.measured, image, MarkerTracker().update(image, 0)).same is True
+    return compared(camera.measured, image, MarkerTracker().update(image, 0))
+
+
+def untold(calibration: Calibration | None) -> str:
+    """Of which fingers another gel would not be noticed, and why; or ""."""
+    measured = {finger: calibration.camera(finger).measured for finger in FINGERS} if calibration else {}
+    without = [
+        finger for finger, one in measured.items() if one and not one.light and markers_n(one.fingerprint) < TELLING_N
+    ]
+    if not without:
+        return ""
+    return f"{' and '.join(without)}: calibrated without the light of the gel, so another gel is not noticed"

@@ -85,6 +85,11 @@ def _correlation(a: NDArray[np.int8], b: NDArray[np.int8], i: int, j: int) -> fl
     return float((x * y).sum()) / size if size > 0 else None
 
 
+def markers_n(fingerprint: str) -> int:
+    """Markers that a fingerprint holds; none of an unknown gel."""
+    return int((_decoded(fingerprint)[..., 0] != _ABSENT).sum()) if fingerprint else 0
+
+
 def check_fingerprint(text: str) -> None:
     """Raise ValueError unless the text is a fingerprint, or empty: that of an unknown gel."""
     if text:

@@ -15,6 +15,7 @@ from service.cameras.capture import CameraFrame
 from service.contract import ContractError, Finger, decode_frame, encode_frame
 from service.contract.frames import Contract
 from service.contract.wire import CameraEntry
+from service.perception.identity import doubt
 from service.session.station import Station
 from service.web.access import Access
 from service.web.closing import (
@@ -43,6 +44,21 @@ class Cameras(Contract):
 
 class Mjpeg(StreamingResponse):
     media_type = f"multipart/x-mixed-replace; boundary={BOUNDARY}"
+
+
+def examined(station: Station) -> tuple[CameraEntry, ...]:
+    """The cameras' entries after a look at which gels their newest pictures show; takes a tenth of a second."""
+    return tuple(
+        entry.model_copy(update={"gel_doubt": _gel_doubt(station, entry.finger)}) for entry in station.camera_entries()
+    )
+
+
+def _gel_doubt(station: Station, finger: Finger) -> str:
+    calibration, newest = station.manager.calibration, station.cameras[finger].latest
+    if calibration is None or newest is None or station.active:  # an insertion holds something: no gel is open
+        return ""
+    other: Finger = "right" if finger == "left" else "left"
+    return doubt(calibration.camera(finger), calibration.camera(other), newest.frame.pixels)
 
 
 def router(station: Station, access: Access) -> APIRouter:

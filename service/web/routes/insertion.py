@@ -25,6 +25,7 @@ from service.web.closing import (
     until_gone,
     until_one_ends,
 )
+from service.web.routes.cameras import examined
 
 HELLO_TIMEOUT_S = 30.0  # a robot client connects first, then switches motors on and waits for the arm to be guided
 MAX_WAITING = 256
@@ -164,7 +165,7 @@ async def _watch(socket: WebSocket, connection: Connection, station: Station, he
             insertion_id=name,
             clock=clock(hello, now_ns()),
             models=station.models.entries,
-            cameras=station.camera_entries(),
+            cameras=await asyncio.to_thread(examined, station),
             controller=station.settings.controller,
             limits=station.settings.limits,
         )

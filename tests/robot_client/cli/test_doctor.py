@@ -35,12 +35,18 @@ def with_(cell, **tables):
     cell.settings = load_settings(None, _merged(_merged({**plain, **devices}, SOON), tables))
 
 
-def cameras(cell, left="live", right="live", rate_hz=None):
+def cameras(cell, left="live", right="live", rate_hz=None, doubt=""):
     states = (("left", left), ("right", right))
-    entries = [wire.CameraEntry(finger=f, source="x", state=s, frame_rate_hz=rate_hz) for f, s in states]
+    entries = [
+        wire.CameraEntry(finger=f, source="x", state=s, frame_rate_hz=rate_hz, gel_doubt=doubt) for f, s in states
+    ]
     cell.service.hello = lambda **_: wire.ServiceHello(
         insertion_id="check", models=(), cameras=tuple(entries), controller="belief", limits=cell.service_limits
     )
+
+
+OTHER_GEL = "this is not the gel that the camera was calibrated with"
+SWAPPED = "it is the other finger's: the cameras are swapped"
 
 
 def dead_port():
@@ -134,6 +140,12 @@ FAULTS = {
     "right camera stalled": (lambda cell: cameras(cell, right="stalled"), "camera", "cable"),
     "camera never came up": (lambda cell: cameras(cell, left="starting"), "camera", "cable"),
     "cameras too slow for the descent": (lambda cell: cameras(cell, rate_hz=3.0), "camera", "ramp"),
+    "cameras swapped": (
+        lambda cell: cameras(cell, doubt=f"{OTHER_GEL}: the cameras are swapped"),
+        "camera",
+        "Exchange",
+    ),
+    "another gel": (lambda cell: cameras(cell, doubt=f"{OTHER_GEL}: is it another gel?"), "camera", "shade the gels"),
     "no token": (forget_token, "service", "token_file"),
     "another service's token": (refused_token, "service", "token_file"),
     "no service there": (

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from service.contract import FINGERS, Finger, Sensor, TactileFrame
 from service.perception.finger import TactileFinger
-from service.perception.identity import Compared, compared, shows
+from service.perception.identity import Compared, compared, doubt, shows, untold
 from service.perception.light import OTHER_LIGHT, light_apart, light_of
-from service.perception.markers.fingerprint import OTHER_GEL, SAME_GEL, TELLING_N
+from service.perception.markers.fingerprint import OTHER_GEL, SAME_GEL, TELLING_N, fingerprint, markers_n
 from service.perception.markers.tracker import MarkerTracker
-from service.perception.rectification import CameraCalibration, Rectifier
+from service.perception.rectification import Calibration, CameraCalibration, Rectifier
 from service.tools.calibrate import find_grid, fit_camera, rectify
 from service.tools.calibration_output import profile_of
 from simulation.optics.appearance import Appearance
@@ -110,6 +110,31 @@ def test_a_lamp_from_outside_makes_no_other_gel_of_a_print_that_is_the_own():
     assert known.apart > 2 * OTHER_LIGHT, "otherwise this tests nothing"
     watch = TactileFinger("left", MINI.rectified, own, beside=CALIBRATED["right"])
     assert watch.learn_open(TactileFrame("left", 1, 1, pixels)) == ""
+
+
+@pytest.mark.parametrize("finger", FINGERS)
+def test_a_camera_is_examined_as_its_open_gel_is(finger: Finger):
+    own, other = CALIBRATED[finger], CALIBRATED["right" if finger == "left" else "left"]
+    for shown, camera in CAMERAS.items():
+        assert doubt(own, other, camera.raw(REST, 7)) == learnt(finger, shown)[0]
+    assert doubt(own, other, np.zeros(MINI.raw.shape, np.uint8)[1:]) == "", "a frame of another size is not judged here"
+
+
+def test_a_calibration_without_a_light_says_so_where_its_markers_are_few():
+    left, right = CALIBRATED["left"], CALIBRATED["right"]
+    assert left.measured is not None
+    assert right.measured is not None
+    assert 24 < markers_n(left.measured.fingerprint) <= REST.shape[0] * REST.shape[1]
+    assert untold(None) == untold(Calibration(left, right)) == ""
+    older = [replace(one, measured=replace(one.measured, light="")) for one in (left, right) if one.measured]
+    why = "calibrated without the light of the gel, so another gel is not noticed"
+    assert untold(Calibration(older[0], right)) == f"left: {why}"
+    assert untold(Calibration(*older)) == f"left and right: {why}"
+    many = fingerprint(np.zeros((10, 15, 2)), np.ones((10, 15), np.bool_))
+    assert markers_n(many) == TELLING_N
+    without = replace(older[0], measured=replace(left.measured, light="", fingerprint=many))
+    assert untold(Calibration(without, replace(right, measured=None))) == ""
+    assert markers_n("") == 0
 
 
 def test_a_frame_of_another_size_does_not_show_the_other_finger():
