@@ -26,13 +26,12 @@ def light_of(image: NDArray[np.uint8]) -> str:
 def light_apart(one: str, other: str) -> float | None:
     """Mean relative difference of two lights, from 0 on; None if one is empty: not known.
 
-    Each colour's mean is removed, so neither exposure nor white balance counts. Raises ValueError if either is no
-    light.
+    Each part counts by its share of its colour's mean, so neither exposure nor white balance matters. Raises ValueError
+    if either is no light.
     """
     if not (one and other):
         return None
-    ratio = _relative(one) - _relative(other)
-    return float(np.abs(ratio - ratio.mean((0, 1))).mean())
+    return float(np.abs(_relative(one) - _relative(other)).mean())
 
 
 def _relative(text: str) -> NDArray[np.float64]:

@@ -1,6 +1,8 @@
 """A gel of few markers is known by its light: its own is never refused for its print, another is refused by name."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -8,12 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.contract import FINGERS, Finger, Sensor, TactileFrame
+from service.decision.models import ModelSet
 from service.perception.finger import TactileFinger
 from service.perception.identity import Compared, compared, doubt, shows, untold
 from service.perception.light import OTHER_LIGHT, light_apart, light_of
 from service.perception.markers.fingerprint import OTHER_GEL, SAME_GEL, TELLING_N, fingerprint, markers_n
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.rectification import Calibration, CameraCalibration, Rectifier
+from service.session.factory import make_session
 from service.tools.calibrate import find_grid, fit_camera, rectify
 from service.tools.calibration_output import profile_of
 from simulation.optics.appearance import Appearance
@@ -86,6 +90,21 @@ def test_another_gel_of_few_markers_is_named(finger: Finger):
     assert "swapped" not in why
     assert away is not None
     assert away > 0.3, "the drift charts follow the print, not the light"
+
+
+def test_without_the_other_fingers_calibration_no_swap_is_named():
+    watch = TactileFinger("left", MINI.rectified, CALIBRATED["left"])
+    why = watch.learn_open(TactileFrame("left", 1, 1, CAMERAS["right"].raw(REST, 7)))
+    assert why.endswith(": has the camera moved, is it another gel, or does something touch or light it?")
+
+
+def test_a_session_knows_swapped_cameras():
+    card = SimpleNamespace(frame=MINI.rectified)
+    session = make_session(cast("ModelSet", SimpleNamespace(card=card)), Calibration(*CALIBRATED.values()))
+    for finger, shown in zip(FINGERS, FINGERS[::-1], strict=True):
+        watch = session.left if finger == "left" else session.right
+        why = watch.learn_open(TactileFrame(finger, 1, 1, CAMERAS[shown].raw(REST, 7)))
+        assert why.endswith("the cameras are swapped")
 
 
 def test_a_calibration_without_a_light_refuses_no_gel_of_few_markers():

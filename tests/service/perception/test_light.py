@@ -12,6 +12,7 @@ from service.perception.light import OTHER_LIGHT, check_light, light_apart, ligh
 
 PARTS = arrays(np.uint8, (8, 8, 3), elements=st.integers(5, 60))
 WIDTH_PX, HEIGHT_PX = 327, 320
+WHITE = light_of(np.full((8, 8, 3), 255, np.uint8))
 
 
 def picture(parts: np.ndarray) -> np.ndarray:
@@ -60,7 +61,7 @@ def test_a_side_that_is_darker_in_one_colour_is_another_light(parts: np.ndarray,
 
 
 def test_a_tenth_more_light_on_one_half_in_one_colour_is_a_sixtieth():
-    """Half of one colour of three is 5 % up, the other half 5 % down, less the share that is added to each part."""
+    """Half of one colour of three is 5 % up, the other half 5 % down, both less for the share that is added."""
     even = np.full((64, 64, 3), 100, np.uint8)
     brighter = even.copy()
     brighter[:, :32, 1] = 110
@@ -71,13 +72,13 @@ def test_a_black_picture_has_a_light():
     assert apart(np.zeros((64, 64, 3), np.uint8), np.zeros((64, 64, 3), np.uint8)) == 0
 
 
-@pytest.mark.parametrize("pair", [("", light_of(np.ones((8, 8, 3), np.uint8))), ("", "")])
+@pytest.mark.parametrize("pair", [("", WHITE), ("", "")])
 def test_a_light_that_is_not_known_is_not_compared(pair: tuple[str, str]):
     assert light_apart(*pair) is None
     assert light_apart(*pair[::-1]) is None
 
 
-@pytest.mark.parametrize("text", ["AQE=", "light", light_of(np.ones((8, 8, 3), np.uint8))[:-1]])
+@pytest.mark.parametrize("text", ["AQE=", "light", WHITE[:-1], f"{WHITE[:8]}\n{WHITE[8:]}"])
 def test_a_text_that_is_no_light_is_refused(text: str):
     check_light("")
     with pytest.raises(ValueError, match="no light of a gel"):

@@ -6,12 +6,14 @@ import pytest
 
 from service.contract import FrameSpec, Sensor
 from service.perception.lens import Lens, Warp
+from service.perception.light import light_of
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration, Measured, Rectifier
 from tests.service.perception.synthetic import draw, grid
 
 SENSOR = Sensor.load()
 
 FINGERPRINT = "AQEAAA=="  # of a single marker in its place
+LIGHT = light_of(np.full((8, 8, 3), 4, np.uint8))
 TRAPEZOID = cv2.getPerspectiveTransform(
     np.array([(20, 10), (407, 10), (320, 310), (107, 310)], np.float32),
     np.array([(0, 0), (326, 0), (326, 319), (0, 319)], np.float32),
@@ -37,11 +39,12 @@ def test_a_saved_calibration_loads_back_exactly(tmp_path):
         (lambda _: "a = [", "not valid TOML"),
         (lambda text: text.replace("[327, 320]", "[320, 320]", 1), "left and right to 320 x 320 and 327 x 320"),
         (lambda text: text.replace(FINGERPRINT, FINGERPRINT[:-1]), r"\[right\]: no fingerprint of a gel: 'AQEAAA='"),
+        (lambda text: text.replace(LIGHT, LIGHT[:-4]), r"\[right\]: no light of a gel: 'BAQEBAQEBAQEBAQEBAQE'"),
     ],
 )
 def test_a_broken_file_is_refused_by_name(tmp_path, change, message):
     path = tmp_path / "c.toml"
-    measured = Measured("2026-01-01", "", 0.3, 1.0, FINGERPRINT)
+    measured = Measured("2026-01-01", "", 0.3, 1.0, FINGERPRINT, LIGHT)
     Calibration(
         CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified),
         CameraCalibration(TRAPEZOID, SENSOR.raw, SENSOR.rectified, measured=measured),
@@ -67,9 +70,18 @@ BENT = CameraCalibration(
     SENSOR.rectified,
     Lens((210.0, 155.0), 266.8, 0.08, -0.01),
     Warp(np.array([10.0, 20.0]), np.array([310.0, 300.0]), np.array([[1.0, 0.5, -2.0], [0.2, 1.5, 0.3]])),
-    Measured("2026-01-01", "A1", 0.31, 0.97, FINGERPRINT),
+    Measured("2026-01-01", "A1", 0.31, 0.97, FINGERPRINT, LIGHT),
     0.07,
 )
+
+
+def test_a_file_of_before_lights_were_stored_is_loaded(tmp_path):
+    Calibration(BENT, BENT).save(tmp_path / "c.toml")
+    lines = (tmp_path / "c.toml").read_text().splitlines()
+    (tmp_path / "c.toml").write_text("\n".join(line for line in lines if not line.startswith("light")))
+    measured = Calibration.load(tmp_path / "c.toml").left.measured
+    assert measured is not None
+    assert (measured.fingerprint, measured.light) == (FINGERPRINT, "")
 
 
 def test_lens_warp_and_what_was_measured_are_loaded_back(tmp_path):
