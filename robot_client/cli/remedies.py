@@ -41,7 +41,10 @@ REMEDIES: tuple[tuple[str, str], ...] = (
         "It takes one client at a time: end the other one; check host and port.",
     ),
     (r"gripper: cannot connect", "Check [gripper] host and port, its power, and the cable."),
-    (r"cameras are swapped", "Exchange the cameras' plugs, or their names in the service's settings."),
+    (
+        r"cameras are swapped",
+        "Give each finger its own camera: exchange plugs, or correct the service's settings.",
+    ),
     (r"not the gel that", "Open the fingers and shade the gels; if it stays, calibrate and commission again."),
     (r"gel is not the one", "Put the old gel back, or calibrate and commission with the new one."),
     (r"camera (left|right)", "Check cable and power of that finger; covering the lens shows which it is."),

@@ -61,7 +61,7 @@ def unlike(known: Compared, beside: CameraCalibration | None, raw: NDArray[np.ui
     if known.same is not False:
         return ""
     cause = (
-        "it is the other finger's: the cameras are swapped"
+        "it is the other finger's: the cameras are swapped, or one serves both fingers"
         if beside is not None and shows(beside, raw)
         else "has the camera moved, is it another gel, or does something touch or light it?"
     )

@@ -46,7 +46,7 @@ def cameras(cell, left="live", right="live", rate_hz=None, doubt=""):
 
 
 OTHER_GEL = "this is not the gel that the camera was calibrated with"
-SWAPPED = "it is the other finger's: the cameras are swapped"
+SWAPPED = "it is the other finger's: the cameras are swapped, or one serves both fingers"
 
 
 def dead_port():
@@ -141,9 +141,9 @@ FAULTS = {
     "camera never came up": (lambda cell: cameras(cell, left="starting"), "camera", "cable"),
     "cameras too slow for the descent": (lambda cell: cameras(cell, rate_hz=3.0), "camera", "ramp"),
     "cameras swapped": (
-        lambda cell: cameras(cell, doubt=f"{OTHER_GEL}: the cameras are swapped"),
+        lambda cell: cameras(cell, doubt=f"{OTHER_GEL}: {SWAPPED}"),
         "camera",
-        "Exchange",
+        "its own camera",
     ),
     "another gel": (lambda cell: cameras(cell, doubt=f"{OTHER_GEL}: is it another gel?"), "camera", "shade the gels"),
     "no token": (forget_token, "service", "token_file"),
