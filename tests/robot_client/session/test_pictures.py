@@ -17,6 +17,7 @@ from robot_client.session.commission.record import RECORD, read_record
 from robot_client.session.commission.run import PRESSES
 from robot_client.session.service_link import ServiceSettings
 from service.contract.frames import ContractError
+from service.contract.token import TOKEN_FILE
 from tests.robot_client.session.test_commission import Cell, commissioning
 from tests.service.client import greeted
 from tests.service.conftest import LiveService, live
@@ -29,6 +30,10 @@ def pictured(path, cell, picture, record=None):
     running.press, running.grips_n = lambda _grip_n, *place: cell.probe(*place), (None,)
     running.picture = picture
     return asyncio.run(running.run(8))
+
+
+def settings_of(live):
+    return ServiceSettings(url=live.url("/v1/insertion", "ws"), token_file=live.station.settings.state / TOKEN_FILE)
 
 
 async def drawn(_insertion_id, caption):
@@ -77,8 +82,7 @@ def test_the_service_shows_both_gels_open_and_pressed_over_a_real_socket(live: L
     driver = greeted(live, "pictured")
     driver.attempt(1)
     driver.gives_up("probed", "probed")
-    service = ServiceSettings(url=live.url("/v1/insertion", "ws"))
-    root = ET.fromstring(asyncio.run(picture_of(service, "pictured", "sign_1: <+8 mm>")))
+    root = ET.fromstring(asyncio.run(picture_of(settings_of(live), "pictured", "sign_1: <+8 mm>")))
     space = "{http://www.w3.org/2000/svg}"
     texts = [text.text for text in root.iter(f"{space}text")]
     assert texts[0].startswith("sign_1: <+8 mm>")
@@ -103,4 +107,4 @@ def test_an_arrow_is_as_long_as_the_motion_and_one_that_slips_has_a_square():
 def test_a_recording_that_is_not_there_is_named(live: LiveService, monkeypatch, insertion_id, why):
     monkeypatch.setattr(pictures, "WAIT_S", 0.3)
     with pytest.raises(DriverError, match=f"service: no picture of {insertion_id}: {why}"):
-        asyncio.run(picture_of(ServiceSettings(url=live.url("/v1/insertion", "ws")), insertion_id, ""))
+        asyncio.run(picture_of(settings_of(live), insertion_id, ""))
