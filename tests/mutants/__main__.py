@@ -136,7 +136,8 @@ def mutants_page(report: dict) -> str:
         A mutation replaces a comparison by its opposite, an operator by its inverse, a truth value by the
         other, a whole number by the next one, or a constant by slightly more than one and a half times its
         value. `<` becomes `<=` only between whole numbers: a measured quantity never equals its limit, so
-        elsewhere both are the same program. At least 200 mutants and 90 % were asked for.
+        elsewhere both are the same program. So are all negative sizes in a `reshape`, of which the sign alone
+        changes. At least 200 mutants and 90 % were asked for.
         """
     rooms = table(report["rooms"], ("room", "room"), ("changes", "count", "d"), ("killed", "killed", "d"))
     change = ("change", lambda row: f"`{row['before']}` -> `{row['after']}`")

@@ -31,7 +31,9 @@ def changes(tree: ast.AST) -> Iterator[tuple[ast.AST, str, object]]:
     for field, value in ast.iter_fields(tree):
         if field not in UNTOUCHED and not isinstance(tree, ast.JoinedStr):
             for child in value if isinstance(value, list) else [value]:
-                if isinstance(child, ast.AST) and getattr(child, "arg", None) != GUARD:
+                if _open_size(tree, child):
+                    yield child, "op", ast.UAdd()
+                elif isinstance(child, ast.AST) and getattr(child, "arg", None) != GUARD:
                     yield from changes(child)
 
 
@@ -53,6 +55,14 @@ def _of_node(node: ast.AST) -> Iterator[tuple[str, object]]:
             yield "value", value + 1
         case ast.Constant(value=float(value)):
             yield "value", value * 1.5 + 0.1
+
+
+def _open_size(call: object, argument: object) -> bool:
+    """Whether an argument is the -1 of ``reshape``: any negative size stands for the one that follows from the rest."""
+    match call, argument:
+        case ast.Call(func=ast.Attribute(attr="reshape")), ast.UnaryOp(op=ast.USub(), operand=ast.Constant()):
+            return True
+    return False
 
 
 def _counted(side: ast.expr) -> bool:

@@ -34,6 +34,14 @@ def test_the_guard_of_a_zip_stays() -> None:
     assert len(list(changes(ast.parse("sorted(left, reverse=True)")))) == 1
 
 
+def test_a_size_that_follows_from_the_others_stays_open() -> None:
+    made = [
+        ast.unparse(value) for _, _, value in changes(ast.parse("points.reshape(-1)")) if isinstance(value, ast.AST)
+    ]
+    assert len(list(changes(ast.parse("points.reshape(-1)")))) == len(made) == 1, "its sign alone is changed"
+    assert len(list(changes(ast.parse("points.take(-1)")))) == 2
+
+
 FORGETS = """
 import sys
 from robot_client.insertion import geometry, lease, machine
