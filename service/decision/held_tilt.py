@@ -86,7 +86,7 @@ class HeldTilt:
         turned_deg, self._pressed = lasting_turn_deg(self._pressed, both), None
         self.turned(turned_deg, self._slid_deg)
 
-    def turned(self, turned_deg: float, slid_deg: float = 0.0) -> None:
+    def turned(self, turned_deg: float, slid_deg: float) -> None:
         """The gels show that an attempt has turned the object by that much; NaN if they do not show it.
 
         ``slid_deg``: as of :meth:`pressed`.

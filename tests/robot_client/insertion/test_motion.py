@@ -122,6 +122,19 @@ def test_the_time_that_a_gap_cost_a_descent_is_known_once():
     assert late.take_lost_s() == prompt.take_lost_s() == 0.0
 
 
+def test_a_gap_in_which_the_lease_ends_costs_the_time_before_that_as_well():
+    """The time after it is the pause, of which the service is told otherwise."""
+    guide, now_s = MotionGuide(Limits(), RAMPS, pose()), 0.0
+    guide.move(pose(z=10.0), "descend", 0.5)
+    while now_s < 0.3:
+        now_s += CYCLE_S
+        guide.advance(CYCLE_S, now_s)
+    guide.take_lost_s()
+    guide.advance(0.55 - now_s, 0.55)
+    assert guide.pauses_n == 1
+    assert guide.take_lost_s() == pytest.approx(0.5 - now_s)
+
+
 @given(st.lists(st.sampled_from([0, 1, 2, 3, 4, 5, 8, 13, 14, 15, 40, 500]), min_size=5, max_size=60), INSIDE, INSIDE)
 @example([40, 2, 13, 14, 1], pose(z=5.0), pose(z=5.0, yaw=8.0))
 def test_no_rhythm_of_the_stream_makes_a_move_unlawful_or_endless(rhythm_ms, start, end):

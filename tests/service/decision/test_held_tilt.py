@@ -36,7 +36,7 @@ SIDES = st.sampled_from([-1.0, 1.0])
 def turned(turn_deg: float, **state: float) -> HeldTilt:
     """A grasp after one attempt of which the gels showed that turn."""
     tilt = HeldTilt(**state)  # type: ignore[arg-type]
-    tilt.turned(turn_deg)
+    tilt.turned(turn_deg, 0.0)
     return tilt
 
 
@@ -91,7 +91,7 @@ def test_without_level_tops_the_turns_add_up_and_nothing_grows_surer(turns_deg):
     tilt, before_deg = HeldTilt(), PICKED_DEG
     for turn_deg in turns_deg:
         tilt.pressed(last(math.radians(1.0)), None)
-        tilt.turned(turn_deg)
+        tilt.turned(turn_deg, 0.0)
         assert tilt.sd_deg > before_deg
         before_deg = tilt.sd_deg
     assert tilt.deg == pytest.approx(sum(turns_deg), abs=1e-9)
@@ -102,7 +102,7 @@ def test_a_mirrored_cell_has_the_mirrored_tilt(true_deg, turn_deg, side):
     one, other = HeldTilt(), HeldTilt()
     for sign, tilt in ((1.0, one), (-1.0, other)):
         touch(tilt, sign * side, sign * true_deg)
-        tilt.turned(sign * turn_deg)
+        tilt.turned(sign * turn_deg, 0.0)
         touch(tilt, -sign * side, sign * (true_deg + turn_deg))
     assert one.deg == pytest.approx(-other.deg, abs=1e-9)
     assert one.sd_deg == pytest.approx(other.sd_deg)
@@ -189,8 +189,8 @@ def test_an_arm_that_went_on_after_the_gels_stopped_leaves_the_tilt_less_certain
 def test_turns_that_cancel_leave_their_errors_behind():
     tilt = HeldTilt()
     for _ in range(4):
-        tilt.turned(1.0)
-        tilt.turned(-1.0)
+        tilt.turned(1.0, 0.0)
+        tilt.turned(-1.0, 0.0)
     assert tilt.deg == pytest.approx(0.0)
     assert tilt.askew(FREE)
 

@@ -51,6 +51,7 @@ def test_a_recording_keeps_the_calibration_that_the_service_began_with(
     wait_for_recorders()
     (recorded,) = tmp_path.glob("r/*/insertion.mcap")
     assert Recording(recorded).metadata["calibration"] == began_with
+    assert attachments(recorded)["calibration.toml"].decode() == began_with
 
 
 def test_a_client_that_loses_its_insertion_to_another_connection_is_told_at_once(shared: InsertionManager) -> None:
