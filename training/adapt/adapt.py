@@ -12,6 +12,7 @@ from reporting.machine import commit
 from reporting.table import table
 from service.contract import ContractError
 from training.adapt.frames import Gap, framed
+from training.adapt.hindsight import drawn
 from training.adapt.objections import chances, losses, to_gain, to_wider
 from training.adapt.stages import (
     FOLDS,
@@ -110,6 +111,7 @@ def adapt(
         raise ContractError(f"{start} was adapted to {known_n} of these recordings; adapt the release that it is from")
     predicted = trainer_of(release.build(), samples).predict(np.arange(len(samples)), pictures=False)
     samples, gap = framed(samples, predicted.error)
+    samples = drawn(release, samples, seed)
     presses = presses_around(around, release, out) if around else None
     chosen = tuple(stage for stage in stages if stage != "around" or presses)
     held = hold_out(release, samples, chosen, seed, presses)

@@ -29,6 +29,8 @@ SCALE_ERROR, ROLL_DEG, LOST_SHARE = 0.03, 2.0, 0.03
 PITCHES = (0.75, 1.3)
 """Marker pitches that a card allows, over its sensor's. They are no range of the data, which has one pitch: so far the
 lattice reads the same field alike, whatever the pitch of the markers on it."""
+NOT_READ = "sha256", "sensor", "draws"
+"""Fields of `Pressed` that are not in the table of a dataset."""
 _TRIED_N = 20  # trials whose reading tells whether the code that reads them has changed
 
 
@@ -38,7 +40,8 @@ class Pressed:
 
     ``error`` float32 [N, 2] (mm, deg); ``conditions`` float32 [N, 6] as stated, see `CONDITIONS`; ``fields`` float16
     [N, STEPS, 2, rows, columns, 2] (du_mm, dv_mm) of each step, NaN where nothing was visible; ``length`` int64 [N],
-    number of steps; ``reach`` float32 [N], the true shear reach in mm, 0 where the dataset does not state it.
+    number of steps; ``reach`` float32 [N], the true shear reach in mm, 0 where the dataset does not state it; ``draws``
+    float32 [N, D, 2], errors that a training batch draws from, where the error is not known exactly.
     """
 
     error: NDArray[np.float32]
@@ -51,6 +54,7 @@ class Pressed:
     reach: NDArray[np.float32]
     sha256: str
     sensor: Sensor
+    draws: NDArray[np.float32] | None = None
 
     def __len__(self) -> int:
         return len(self.error)
@@ -66,6 +70,8 @@ class Pressed:
         fields = np.concatenate([np.where(visible, moved, 0.0), visible], -1, dtype=np.float32)
         error, conditions = self.error[chosen].copy(), self.conditions[chosen].copy()
         if rng is not None:
+            if self.draws is not None:
+                error = self.draws[chosen, rng.integers(self.draws.shape[1], size=len(chosen))]
             _vary(fields, error, conditions, rng)
         return Batch(
             fields=torch.from_numpy(np.moveaxis(fields, -1, -3).copy()),
@@ -150,7 +156,7 @@ def table_of(source: Source, chosen: Sequence[int], views: int, fps: float | Non
     Raises ContractError if none collided, if a trial is not finite, or if a group is in two splits.
     """
     reader = Reader(source.manifest.sensor)
-    rows: dict[str, list[Any]] = {name: [] for name in Pressed.__dataclass_fields__ if name not in ("sha256", "sensor")}
+    rows: dict[str, list[Any]] = {name: [] for name in Pressed.__dataclass_fields__ if name not in NOT_READ}
     for index in track(chosen, description="reading descents", transient=True):
         trial = source.trial(index)
         if trial.outcome != "blocked" or trial.onset_frame is None or trial.onset_frame < 1:
