@@ -66,8 +66,7 @@ def calibrated(stage: StageName, scales: Scales, sample: Predictions | Densities
     """Scales that fit the predictions of held-out samples, pulled to the release's; from probes if there are any.
 
     Calibration alone makes a network no surer, as it proves no gain. Nor does work. The error of a working
-    insertion is known only to within the gap's clearance, and from the network's own moves, so its predictions look
-    better than they are.
+    insertion is known only to within the gap's clearance; where it was in there is the release's own opinion.
     """
     known = sample.objects == PROBE
     if hindsight := not known.any():

@@ -1,10 +1,10 @@
 """Recordings of a cell as training data: the networks' input in each attempt, and its error.
 
 The error is known in two ways. A probe (``purpose`` of the episode) begins at a known error, in the frame taught to the
-arm. In a successful insertion, every earlier attempt was off by the moves that followed it, to within the gap's
-clearance. ``objects`` of the samples says which: PROBE or WORK, and LATER for the attempts of an insertion after the
-first one, also those after a regrasp. They are closer to the gap than a network's first question, so they are not used
-for evaluation.
+arm. In a successful insertion, every earlier attempt was off by the moves that followed it, to within what fits the
+gap: `training.adapt.hindsight` draws the rest. ``objects`` of the samples says which: PROBE or WORK, and LATER for the
+attempts of an insertion after the first one, also those after a regrasp. They are closer to the gap than a network's
+first question, so they are not used for evaluation.
 """
 
 import hashlib
