@@ -186,17 +186,17 @@ class SlipDetector:
         limits, pitch = self.settings, field.pitch_px
         centre = field.rest_px[self._stuck].mean(0) if self._stuck.any() else motion.pivot_px
         shift = motion.apply(np.asarray(centre, np.float64)) - centre
-        far = float(np.hypot(*shift)) > limits.max_shift_pitch * pitch
-        turned = abs(motion.angle_rad) > np.deg2rad(limits.max_angle_deg)
+        far_px, angle_deg = float(np.hypot(*shift)), float(np.rad2deg(motion.angle_rad))
+        beyond = far_px > limits.max_shift_pitch * pitch or abs(angle_deg) > limits.max_angle_deg
         share = slipping.sum() / max(known, 1)
-        stalled = self._stalls(field, float(np.hypot(*shift)), pitch)
+        stalled = self._stalls(field, far_px, pitch)
         state: FingerState = "contact"
-        reason = f"the patch moved {np.hypot(*shift):.1f} px and turned {np.rad2deg(motion.angle_rad):.1f} deg"
+        reason = f"the patch moved {far_px:.1f} px and turned {angle_deg:.1f} deg"
         if score >= 1:
             state = "gross_slip" if share > limits.gross_share else "incipient_slip"
             reason = f"{slipping.sum()} of {known} nodes left the object's motion"
         elif stalled:
-            state, reason = "gross_slip", f"the patch stopped after {np.hypot(*shift):.1f} px: the object slides"
+            state, reason = "gross_slip", f"the patch stopped after {far_px:.1f} px: the object slides"
         elif motion.scale < 1 - limits.release_scale:
             state, reason = "release", f"markers contracted by {100 * (1 - motion.scale):.1f} %"
         return SlipState(
@@ -208,9 +208,9 @@ class SlipDetector:
             shift_px=(float(shift[0]), float(shift[1])),
             angle_rad=motion.angle_rad,
             scale=motion.scale,
-            over_limit=far or turned,
+            over_limit=beyond,
             captured_ns=field.captured_ns,
-            reason=reason + ("; beyond the limit of motion" if far or turned else ""),
+            reason=reason + ("; beyond the limit of motion" if beyond else ""),
         )
 
     def _stalls(self, field: MarkerField, carried: float, pitch: float) -> bool:

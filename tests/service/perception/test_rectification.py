@@ -1,4 +1,6 @@
+import math
 import re
+from contextlib import nullcontext
 
 import cv2
 import numpy as np
@@ -136,6 +138,17 @@ def test_a_homography_that_shows_no_gel_is_refused(matrix, message):
 )
 def test_a_homography_is_the_same_whatever_its_factor_and_may_lean(matrix):
     CameraCalibration(matrix, SENSOR.raw, SENSOR.rectified)
+
+
+@pytest.mark.parametrize(("share", "enough"), [(0.015, False), (0.025, True)])
+def test_a_gel_that_fills_less_than_a_fiftieth_of_the_raw_frame_is_refused(share, enough):
+    raw_px2, shown_px2 = (
+        SENSOR.raw.width_px * SENSOR.raw.height_px,
+        SENSOR.rectified.width_px * SENSOR.rectified.height_px,
+    )
+    scale = math.sqrt(shown_px2 / (share * raw_px2))
+    with nullcontext() if enough else pytest.raises(CalibrationError, match="outside the raw one"):
+        CameraCalibration(np.diag([scale, scale, 1.0]), SENSOR.raw, SENSOR.rectified)
 
 
 FOLDED = Warp(BENT.warp.low, BENT.warp.high, np.array([[0.0, 0.0, 100.0], [0.0, 0.0, 0.0]]))

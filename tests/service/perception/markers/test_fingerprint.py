@@ -82,6 +82,21 @@ def test_a_print_has_the_same_fingerprint_at_any_size():
     assert spread == pytest.approx(0.3 / PITCH_PX, rel=0.15), "in pitches"
 
 
+def test_a_fingerprint_is_that_of_the_places_now_wherever_the_markers_were_first_seen():
+    moved = np.random.default_rng(2).normal(0, 2.0, GEL.shape).astype(np.float32)
+    shown = np.ones(GEL.shape[:2], np.bool_)
+    later = MarkerField(GEL.astype(np.float32) - moved, moved, shown, None, PITCH_PX, 0)
+    assert likeness(fingerprint_of(later), print_of(GEL)) > 0.999
+
+
+@pytest.mark.parametrize(("shared_n", "known"), [(23, False), (24, True)])
+def test_two_prints_are_compared_by_24_shared_markers_or_more(shared_n: int, *, known: bool):
+    shown, off = np.zeros(GEL.shape[:2], np.bool_), np.random.default_rng(3).normal(0, 0.02, GEL.shape)
+    shown[5:9, 6:13].flat[:shared_n] = True
+    few = fingerprint(off, shown)
+    assert (likeness(few, few) is not None) is known
+
+
 @pytest.mark.parametrize("text", ["AQE=", "AQEA\nAA==", "AQEAAA", "grid"])
 def test_a_text_that_is_no_fingerprint_is_refused(text: str):
     check_fingerprint("AQEAAA==")

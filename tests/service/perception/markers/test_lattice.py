@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from service.perception.markers.detect import Candidates
 from service.perception.markers.lattice import (
     DIAMETERS_PX,
+    Lattice,
     assemble,
     fill_gaps,
     find_lattice,
@@ -82,6 +83,32 @@ def test_a_row_at_the_border_counts_if_a_third_of_it_is_there(axis: int, share: 
 def test_a_grid_has_five_rows_and_columns_at_least(rows: int, cols: int, enough: bool) -> None:
     image = draw(grid(rows, cols, 24.0, 320, 320), np.random.default_rng(0), 320, 320, 8.0)
     assert (find_lattice(image) is not None) is enough
+
+
+def square(diameter: float, apart: float) -> Lattice | None:
+    """What is found of 6 x 6 markers that are so many diameters apart."""
+    pitch = apart * diameter
+    side = int(6 * pitch)
+    points = grid(6, 6, pitch, side, side, jitter=0.01 * pitch)
+    return find_lattice(draw(points, np.random.default_rng(0), side, side, diameter))
+
+
+@pytest.mark.parametrize("apart", [2.6, 4.0])
+@pytest.mark.parametrize("diameter", DIAMETERS_PX)
+def test_markers_of_4_to_25_px_are_found_by_the_scale_nearest_to_them(diameter: float, apart: float) -> None:
+    found = square(diameter, apart)
+    assert found is not None
+    assert found.detected.all()
+    assert found.pitch_px == pytest.approx(apart * diameter, rel=0.01)
+    assert found.diameter_px == pytest.approx(diameter, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("diameter", "apart", "counts"), [(4, 1.35, False), (4, 1.45, True), (25, 7.6, True), (25, 8.4, False)]
+)
+def test_markers_are_one_and_a_half_to_eight_diameters_apart(diameter: float, apart: float, *, counts: bool) -> None:
+    """Of the least and of the largest diameter: others have a scale beside their own, by which they are found."""
+    assert (square(diameter, apart) is not None) is counts
 
 
 @given(st.lists(st.floats(-20.0, 20.0), min_size=8, max_size=8), st.integers(0, 1000))

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from service.contract import TactileFrame
+from service.perception.markers.field import MarkerField
+from service.perception.markers.liveness import TOGETHER, _shared_motion
 from tests.service import drawn
 
 REST_N, ONSET, SLIP_AT, COPIES_N = 8, 12, 18, 6
@@ -122,3 +124,34 @@ def test_an_object_that_hangs_free_again_is_a_new_picture_after_a_press(pressed_
             finger.rearm()  # no frame is looked at while the arm goes up
         pixels = renderer.raw(drawn.gel(shift_mm), 500 + k)
         assert finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, pixels)).field.usable
+
+
+def shown(moved_px: np.ndarray, valid: np.ndarray | None = None) -> MarkerField:
+    seen = np.ones(moved_px.shape[:2], np.bool_) if valid is None else valid
+    return MarkerField(np.zeros_like(moved_px), moved_px.astype(np.float32), seen, None, 15.0, 0)
+
+
+@pytest.mark.parametrize("size_px", [1e-3, 1.0, 40.0])
+def test_markers_that_move_as_one_share_their_motion_and_errors_share_none(size_px):
+    """Whatever the size of either, and wherever markers are hidden."""
+    rest, rng = shown(np.zeros((20, 21, 2))), np.random.default_rng(0)
+    hidden = rng.random((20, 21)) < 0.2
+    errors, chequered = rng.normal(0, 1, (20, 21, 2)), (-1.0) ** np.indices((20, 21)).sum(0)[..., None]
+    for valid in (None, ~hidden):
+        assert _shared_motion(rest, shown(size_px * np.ones((20, 21, 2)), valid)) == pytest.approx(1.0)
+        assert abs(_shared_motion(rest, shown(size_px * errors, valid))) < TOGETHER
+        assert _shared_motion(rest, shown(size_px * chequered * np.ones(2), valid)) == pytest.approx(-1.0)
+    below_px = size_px * np.where(np.arange(20) < 10, 0.0, 1.0)[:, None, None] * np.ones((20, 21, 2))
+    assert _shared_motion(rest, shown(below_px)) == pytest.approx(
+        (9 * 21 + 10 * 20) / (19 * 21 + 20 * 20) * 420 / 210
+    ), "the pairs that move, of all pairs, beside the markers that move, of all"
+
+
+def test_what_does_not_move_or_cannot_be_compared_shares_nothing():
+    rest = shown(np.zeros((20, 21, 2)))
+    assert _shared_motion(rest, rest) == 0.0
+    assert _shared_motion(None, rest) == 0.0
+    assert _shared_motion(shown(np.zeros((7, 9, 2))), rest) == 0.0
+    alone = np.zeros((20, 21), np.bool_)
+    alone[::2, ::2] = True
+    assert _shared_motion(rest, shown(np.ones((20, 21, 2)), alone)) == 0.0

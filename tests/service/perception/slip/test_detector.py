@@ -128,6 +128,17 @@ def test_too_large_a_motion_stops_without_slip():
     assert not any(state.slip for state in states)
     assert states[-1].over_limit
     assert states[-1].stop
+    assert states[-1].reason.endswith("; beyond the limit of motion")
+
+
+@pytest.mark.parametrize(
+    ("pitches", "degrees", "beyond"), [(1.9, 0.0, False), (2.1, 0.0, True), (0.0, 14.0, False), (0.0, 16.0, True)]
+)
+def test_two_pitches_or_fifteen_degrees_are_too_large_a_motion(pitches, degrees, beyond):
+    fields, _ = patch_fields(rigid((0, 15.0 * pitches / 12), degrees / 12), frames=13)
+    state = states_of(fields)[-1]
+    assert state.over_limit is beyond
+    assert state.reason.endswith("; beyond the limit of motion") is beyond
 
 
 def test_onset_comes_with_the_first_motion_and_before_slip():

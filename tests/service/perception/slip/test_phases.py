@@ -43,6 +43,13 @@ def test_a_touch_that_becomes_weaker_is_no_loss_until_it_is_gone():
     assert "lost" not in story([*HELD, *weaker])
 
 
+@pytest.mark.parametrize(("weak_n", "loses"), [(14, True), (15, False)])
+def test_a_touch_is_gone_beside_the_usual_one_of_the_last_thirty_frames(weak_n, loses):
+    """Of thirty frames fifteen are as weak: half of the usual touch is then less than what is left."""
+    story_so_far = [(1.9, 1.9)] * 40 + [(1.0, 1.0)] * weak_n
+    assert ("lost" in story([*story_so_far, (0.9, 0.9), (0.9, 0.9)])) is loses
+
+
 def test_one_empty_frame_is_no_loss():
     assert "lost" not in story([*HELD, (0.2, 0.2), *[(3.0, 2.0)] * 5, (0.2, 0.2), *[(3.0, 2.0)] * 5])
 
