@@ -180,7 +180,8 @@ def reindex(
     near = neighbours(points)
     grown = place(_grown(points, near, basis, previous, prior, pitch))[1]
     bridged = place(nearest_spot(_bridged(grown, previous), points, _SEARCH * pitch))
-    best_score, best = min((prior.misfit + _motion(prior, previous, pitch), prior), bridged, key=itemgetter(0))
+    score, best = min((prior.misfit + _motion(prior, previous, pitch), prior), bridged, key=itemgetter(0))
+    to_beat = score - _BETTER
     seed = int(np.square(points - previous.reshape(-1, 2).mean(0)).sum(1).argmin())
     # The grid cell of the seed under least motion; placements up to two steps off compete with it. Where none of them
     # fits a grid that is almost complete, it has jumped by three.
@@ -192,11 +193,11 @@ def reindex(
             break
         for step, fit_n in zip(steps, _fit_n(index[reached], steps, rest.shape[:2]), strict=True):
             least = _STRAY * (len(points) - fit_n) / rest[..., 0].size  # misfit if everything else were perfect
-            if fit_n < _LEAST_N or least >= best_score - _BETTER:
+            if fit_n < _LEAST_N or least >= to_beat:
                 continue
             score, rival = place(_placed(index[reached] + step, spot_of, rest.shape[:2]))
-            if score < best_score - _BETTER:
-                best, best_score = rival, score
+            if score < to_beat:
+                best, to_beat = rival, score - _BETTER
         if reached.sum() < 0.6 * rest[..., 0].size:
             break
     if best is prior:

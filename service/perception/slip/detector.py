@@ -168,7 +168,7 @@ class SlipDetector:
     def _excess(self, lag: Float64, moved: Float64, may: BoolArray, pitch: float) -> Float64:
         """Lag in px beyond what each node's elastic share of the motion explains, 0 outside the contact."""
         limits = self.settings
-        elastic = np.where(self._weight > 0, self._lagged / np.maximum(self._weight, 1e-9), 0.0)
+        elastic = self._lagged / np.maximum(self._weight, 1e-9)
         excess = lag - elastic * moved
         carried_far = may & (moved > limits.contact_pitch * pitch) & ~self._slipped
         joins = carried_far & ~self._stuck & (lag < limits.follow_share * moved)

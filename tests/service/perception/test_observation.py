@@ -24,6 +24,13 @@ def test_a_gel_is_touched_from_one_on_by_markers_or_picture(bulge, touch, feels)
 
 
 @pytest.mark.parametrize(
+    ("bulge", "touch", "felt"), [(None, 2.0, None), (0.02, None, 0.02), (0.02, 0.5, 0.5), (0.7, 0.5, 0.7)]
+)
+def test_a_touch_is_as_strong_as_the_stronger_of_markers_and_picture_say(bulge, touch, felt):
+    assert replace(PLAIN, bulge=bulge, touch=touch).felt == felt
+
+
+@pytest.mark.parametrize(
     ("field", "state", "says"),
     [
         (FIELD, "hold", True),

@@ -119,7 +119,10 @@ def test_the_way_between_two_stamps_is_that_of_its_parts(parts: list[tuple[int, 
 
 
 def test_an_arm_has_gone_at_its_first_speed_before_and_nowhere_while_none_is_known() -> None:
-    assert (legs().speed_mm_s(5), legs().travel_mm(0, 1_000_000_000)) == (None, 0.0)
+    still = legs()
+    assert (still.speed_mm_s(5), still.travel_mm(0, 1_000_000_000)) == (None, 0.0)
+    still.pauses(1_000_000_000, 0.4)
+    assert still.travel_mm(0, 2_000_000_000) == 0.0
     arm = legs((1_000_000_000, 10.0), (2_000_000_000, 5.0))
     assert arm.speed_mm_s(0) == 10.0
     assert arm.travel_mm(0, 1_000_000_000) == pytest.approx(10.0)

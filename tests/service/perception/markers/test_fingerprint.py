@@ -13,6 +13,7 @@ from service.perception.markers.fingerprint import (
     fingerprint,
     fingerprint_of,
     likeness,
+    markers_n,
 )
 from tests.service.perception.synthetic import grid
 
@@ -23,7 +24,6 @@ def print_of(points: np.ndarray, rows: slice = slice(None), columns: slice = sli
     """The fingerprint of the part of a gel that the tracker finds."""
     rest = points[rows, columns].astype(np.float32)
     shown = np.ones(rest.shape[:2], np.bool_)
-    assert shown.sum() >= TELLING_N
     return fingerprint_of(MarkerField(rest, np.zeros_like(rest), shown, None, PITCH_PX, 0))
 
 
@@ -45,7 +45,9 @@ def test_a_gel_is_known_again_by_a_part_of_its_print(part: str):
 
 @pytest.mark.parametrize("part", PARTS)
 def test_another_gel_is_not_taken_for_it_by_any_part_of_its_print(part: str):
-    alike = likeness(print_of(GEL), print_of(OTHER, *PARTS[part]))
+    other = print_of(OTHER, *PARTS[part])
+    assert markers_n(other) >= TELLING_N
+    alike = likeness(print_of(GEL), other)
     assert alike is not None
     assert alike < OTHER_GEL
 
@@ -56,6 +58,21 @@ def test_a_picture_that_moved_by_a_row_shows_the_same_gel():
     alike = likeness(one, other)
     assert alike is not None
     assert alike > 0.98
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("more_n", [-1, 0, 1])
+def test_two_prints_may_lack_two_rows_at_either_border_whichever_is_larger(axis: int, more_n: int):
+    """The second one has ``more_n`` fewer, and begins further on than the first, or before it."""
+
+    def alike(begins: int) -> float:
+        parts = ((slice(3, 11), slice(None)), (slice(3 + begins, 11 + begins - more_n), slice(None)))
+        one, other = (print_of(GEL, *(part if axis == 0 else part[::-1])) for part in parts)
+        return likeness(one, other) or 0.0
+
+    first, last = min(0, more_n) - 2, max(0, more_n) + 2
+    assert min(alike(first), alike(last)) > 0.98
+    assert max(alike(first - 1), alike(last + 1)) < OTHER_GEL
 
 
 def test_a_fingerprint_holds_how_far_each_marker_is_off_the_grid_in_steps_of_five_thousandths_of_a_pitch():

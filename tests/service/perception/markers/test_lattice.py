@@ -9,6 +9,9 @@ from service.perception.markers.detect import Candidates
 from service.perception.markers.lattice import (
     DIAMETERS_PX,
     Lattice,
+    _most_merit,
+    _run,
+    _strong,
     assemble,
     fill_gaps,
     find_lattice,
@@ -42,6 +45,53 @@ def test_few_or_scattered_points_have_no_basis() -> None:
     assert lattice_basis(REST.reshape(-1, 2)[:8]) is None
     assert lattice_basis(REST[:1, :9].reshape(-1, 2)) is None, "a row has no second direction"
     assert lattice_basis(REST[:3, :3].reshape(-1, 2)) is not None
+    four_below, three_below = (np.concatenate([REST[0, :8], REST[1, :n]]) for n in (4, 3))
+    assert lattice_basis(four_below) is not None, "four steps are a direction"
+    assert lattice_basis(three_below) is None
+
+
+@given(st.integers(0, 1000), st.integers(2, 60))
+def test_the_neighbours_of_a_spot_are_the_twelve_nearest_others(seed: int, spots_n: int) -> None:
+    points = np.random.default_rng(seed).uniform(0, 300, (spots_n, 2)).astype(np.float32)
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1) + np.diag(np.full(spots_n, np.inf))
+    most_n = min(12, spots_n)
+    nearest = [set(row[:most_n].tolist()) for row in np.argsort(apart, axis=1)]
+    assert [set(row) for row in neighbours(points).tolist()] == nearest
+
+
+@given(st.lists(st.integers(1, 1000), min_size=1, max_size=80), st.integers(0, 1000))
+def test_no_grid_of_some_spots_has_more_merit_than_they_promise(strengths: list[int], seed: int) -> None:
+    strongest = np.sort(np.array(strengths, np.float32))[::-1]
+    spot = Candidates(np.zeros((len(strongest), 2), np.float32), strongest, np.ones(len(strongest), np.float32))
+    rng = np.random.default_rng(seed)
+    chosen = strongest[rng.random(len(strongest)) < rng.uniform(0, 1)]
+    promised = _most_merit(spot, 5.0)
+    assert not chosen.size or len(chosen) * np.median(chosen) * 5.0 <= promised + 1e-6
+    firsts = [n * strongest[(n - 1) // 2] for n in range(1, len(strongest) + 1)]
+    assert promised == pytest.approx(5.0 * max(firsts)), "and no more than it takes"
+    assert _most_merit(spot.only(np.zeros(0, np.intp)), 5.0) == 0.0
+
+
+def test_spots_of_a_third_of_a_strong_one_are_grain_and_1500_are_enough() -> None:
+    strength = np.concatenate([np.full(80, 100.0), np.full(10, 36.0), np.full(10, 34.0)]).astype(np.float32)
+    mixed = Candidates(np.zeros((100, 2), np.float32), strength, np.ones(100, np.float32))
+    assert len(_strong(mixed).strength) == 90
+    many = Candidates(np.zeros((1600, 2), np.float32), np.full(1600, 9.0, np.float32), np.ones(1600, np.float32))
+    assert len(_strong(many).strength) == 1500
+    assert len(_strong(mixed.only(np.zeros(0, np.intp))).strength) == 0
+
+
+@given(st.lists(st.booleans(), max_size=20))
+def test_a_run_is_the_longest_of_rows_that_count(good: list[bool]) -> None:
+    runs = [
+        (end - begin, -begin)
+        for begin in range(len(good))
+        for end in range(begin + 1, len(good) + 1)
+        if all(good[begin:end])
+    ]
+    longest, begin = max(runs, default=(0, 0))
+    chosen = _run(np.array(good, bool))
+    assert (chosen.start, chosen.stop) == (-begin, longest - begin)
 
 
 def test_a_flood_follows_a_grid_that_turns_and_widens_from_end_to_end() -> None:
@@ -96,11 +146,11 @@ def square(diameter: float, apart: float) -> Lattice | None:
 @pytest.mark.parametrize("apart", [2.6, 4.0])
 @pytest.mark.parametrize("diameter", DIAMETERS_PX)
 def test_markers_of_4_to_25_px_are_found_by_the_scale_nearest_to_them(diameter: float, apart: float) -> None:
-    found = square(diameter, apart)
-    assert found is not None
-    assert found.detected.all()
-    assert found.pitch_px == pytest.approx(apart * diameter, rel=0.01)
-    assert found.diameter_px == pytest.approx(diameter, rel=0.25)
+    lattice = square(diameter, apart)
+    assert lattice is not None
+    assert lattice.detected.all()
+    assert lattice.pitch_px == pytest.approx(apart * diameter, rel=0.01)
+    assert lattice.diameter_px == pytest.approx(diameter, rel=0.25)
 
 
 @pytest.mark.parametrize(

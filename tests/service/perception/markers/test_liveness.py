@@ -127,8 +127,8 @@ def test_an_object_that_hangs_free_again_is_a_new_picture_after_a_press(pressed_
 
 
 def shown(moved_px: np.ndarray, valid: np.ndarray | None = None) -> MarkerField:
-    seen = np.ones(moved_px.shape[:2], np.bool_) if valid is None else valid
-    return MarkerField(np.zeros_like(moved_px), moved_px.astype(np.float32), seen, None, 15.0, 0)
+    there = np.ones(moved_px.shape[:2], np.bool_) if valid is None else valid
+    return MarkerField(np.zeros_like(moved_px), moved_px.astype(np.float32), there, None, 15.0, 0)
 
 
 @pytest.mark.parametrize("size_px", [1e-3, 1.0, 40.0])

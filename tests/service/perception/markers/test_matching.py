@@ -5,7 +5,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.perception.markers.matching import _STEPS, View, _fit_n, _placed, match, nearest_spot, reindex
+from service.perception.markers.matching import (
+    _STEPS,
+    Match,
+    View,
+    _affine,
+    _bridged,
+    _fit_n,
+    _motion,
+    _placed,
+    _torn,
+    match,
+    nearest_spot,
+    reindex,
+)
 from service.perception.markers.tracker import MarkerTracker
 from tests.service.perception.synthetic import draw, grid, twist
 
@@ -150,3 +163,68 @@ def test_what_fits_on_a_grid_after_each_step_is_counted_as_by_placing_it(seed: i
 def test_spots_are_placed_at_column_and_row_of_their_cells() -> None:
     placed = _placed(np.array([(3, 0), (0, 4), (4, 0), (0, 5), (-1, 2)]), np.array([7, 8, 1, 2, 3]), (5, 4))
     assert (placed[0, 3], placed[4, 0], int((placed >= 0).sum())) == (7, 8, 2)
+
+
+@given(st.integers(0, 1000), st.sampled_from([(5, 6), (9, 8)]), st.floats(0.2, 1.5))
+def test_a_node_is_torn_if_it_is_off_the_median_of_three_neighbours_or_more(
+    seed: int, shape: tuple[int, int], spread: float
+) -> None:
+    """Whatever is known before the medians are taken."""
+    rng = np.random.default_rng(seed)
+    moved, valid = rng.normal(0, spread, (*shape, 2)).astype(np.float32), rng.random(shape) < rng.uniform(0.2, 1.0)
+    torn = np.zeros(shape, bool)
+    for row, column in np.argwhere(valid):
+        around = np.s_[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2]
+        others = valid.copy()
+        others[row, column] = False
+        off = (
+            moved[row, column] - np.median(moved[around][others[around]], axis=0)
+            if others[around].any()
+            else np.zeros(2)
+        )
+        torn[row, column] = others[around].sum() >= 3 and np.hypot(*off) > 2.0
+    assert np.array_equal(_torn(moved, valid, 2.0), torn)
+
+
+@given(st.integers(0, 1000), st.integers(10, 40))
+def test_a_grid_is_carried_by_the_affine_map_that_fits_twelve_nodes_or_more(seed: int, nodes_n: int) -> None:
+    rng, valid = np.random.default_rng(seed), np.zeros(REST.shape[:2], bool)
+    valid.flat[rng.permutation(valid.size)[:nodes_n]] = True
+    moved = (REST @ rng.normal(0, 1.0, (2, 2)) + rng.normal(0, 20.0, (20, 21, 2)) + (30, -20)).astype(np.float32)
+    expected = REST
+    if nodes_n >= 12:
+        terms = np.concatenate([REST, np.ones((20, 21, 1))], -1).astype(np.float64)
+        expected = terms @ np.linalg.lstsq(terms[valid], moved[valid].astype(np.float64), rcond=None)[0]
+    assert _affine(REST, moved, valid) == pytest.approx(expected, abs=1e-3)
+
+
+def test_nodes_on_a_line_carry_no_grid() -> None:
+    line = np.zeros(REST.shape[:2], bool)
+    line[7] = True
+    even = grid(jitter=0.0).astype(np.float32)
+    assert np.array_equal(_affine(even, 2 * even, line), even)
+    line[8, 3] = True
+    assert _affine(even, 2 * even, line) == pytest.approx(2 * even, rel=1e-3)
+
+
+def placed_at(moved_px: np.ndarray, valid: np.ndarray) -> Match:
+    return Match((REST + moved_px).astype(np.float32), valid, 0.0, 0, np.zeros(valid.shape, np.intp))
+
+
+def test_motion_costs_half_a_point_a_pitch_and_nothing_in_sight_as_much_as_a_missing_marker() -> None:
+    valid = np.random.default_rng(0).random(REST.shape[:2]) < 0.5
+    moved = np.where(valid[..., None], (6.0, -8.0), (90.0, 0.0))
+    assert _motion(placed_at(moved, valid), REST, PITCH) == pytest.approx(0.5 * 10 / PITCH, rel=1e-4)
+    assert _motion(placed_at(moved, np.zeros_like(valid)), REST, PITCH) == 25.0
+
+
+def test_nodes_without_a_spot_move_as_those_around_them() -> None:
+    """A hole in a grid that is carried as one, and in one that is stretched evenly."""
+    valid = np.ones(REST.shape[:2], bool)
+    valid[6:12, 7:13] = valid[0, 0] = False
+    carried = np.where(valid[..., None], (6.0, -8.0), 0.0)
+    assert _bridged(placed_at(carried, valid), REST) == pytest.approx(REST + np.array([6.0, -8.0]), abs=1e-3)
+    wider = 0.04 * (REST - REST.mean((0, 1)))
+    bridged = _bridged(placed_at(np.where(valid[..., None], wider, 0.0), valid), REST)
+    assert bridged[valid] == pytest.approx((REST + wider)[valid], abs=1e-3)
+    assert np.abs(bridged - REST - wider)[6:12, 7:13].max() < 0.1 * PITCH
