@@ -94,4 +94,4 @@ class MarkerDetector:
         full = (centre + 0.5) * self.shrink - 0.5
         strength = values[:, len(_OFFSETS) // 2]
         flattest = -(xx + yy) - np.hypot(xx - yy, xy)
-        return Candidates(full.astype(np.float32), strength, flattest / np.maximum(strength, 1e-6))
+        return Candidates(full.astype(np.float32), strength, flattest / strength)

@@ -136,8 +136,7 @@ def neighbour_median(values: FloatArray, valid: BoolArray) -> tuple[FloatArray, 
     around = [padded[i : i + rows, j : j + cols] for i in range(3) for j in range(3) if (i, j) != (1, 1)]
     stack = np.sort(np.stack(around), axis=0)
     count = np.isfinite(stack[..., 0]).sum(0)
-    low = np.maximum(count - 1, 0) // 2
-    high = np.minimum(count // 2, 7)
+    low, high = (count - 1) // 2, count // 2
     at = (np.arange(rows)[:, None], np.arange(cols)[None])
     median = (stack[low, at[0], at[1]] + stack[high, at[0], at[1]]) / 2
     return np.where(count[..., None] > 0, median, np.float32(0)).astype(np.float32), count

@@ -6,7 +6,7 @@ import pytest
 
 from service.contract import TactileFrame
 from service.perception.markers.field import MarkerField
-from service.perception.markers.liveness import TOGETHER, _shared_motion
+from service.perception.markers.liveness import TOGETHER, _grain, _shared_motion
 from tests.service import drawn
 
 REST_N, ONSET, SLIP_AT, COPIES_N = 8, 12, 18, 6
@@ -155,3 +155,18 @@ def test_what_does_not_move_or_cannot_be_compared_shares_nothing():
     alone = np.zeros((20, 21), np.bool_)
     alone[::2, ::2] = True
     assert _shared_motion(rest, shown(np.ones((20, 21, 2)), alone)) == 0.0
+
+
+def test_the_grain_is_the_same_in_another_light_and_whatever_lies_around_the_middle():
+    picture = drawn.raw("left", 0, ONSET, SLIP_AT)
+    height, width = picture.shape[:2]
+    grain = _grain(picture)
+    noise = float(np.square(grain - _grain(drawn.raw("left", 1, ONSET, SLIP_AT))).mean())
+    shade = 20.0 + 10.0 * np.linspace(-1.0, 1.0, height)[:, None, None] * np.linspace(-1.0, 1.0, width)[:, None]
+    lit = np.clip(np.rint(0.7 * picture + shade), 0, 255).astype(np.uint8)
+    dimmed = np.clip(np.rint(0.7 * picture), 0, 255).astype(np.uint8)
+    assert np.square(_grain(lit) - _grain(dimmed)).mean() < 0.1 * noise
+    around = np.full_like(picture, 7)
+    middle = np.s_[height // 4 : -(height // 4), width // 4 : -(width // 4)]
+    around[middle] = picture[middle]
+    assert np.array_equal(_grain(around), grain)

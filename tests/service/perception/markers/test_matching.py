@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from service.perception.markers.matching import (
@@ -186,6 +186,8 @@ def test_a_node_is_torn_if_it_is_off_the_median_of_three_neighbours_or_more(
     assert np.array_equal(_torn(moved, valid, 2.0), torn)
 
 
+@example(0, 11)
+@example(0, 12)
 @given(st.integers(0, 1000), st.integers(10, 40))
 def test_a_grid_is_carried_by_the_affine_map_that_fits_twelve_nodes_or_more(seed: int, nodes_n: int) -> None:
     rng, valid = np.random.default_rng(seed), np.zeros(REST.shape[:2], bool)
