@@ -162,6 +162,50 @@ def test_a_stamp_that_does_not_advance_adds_nothing() -> None:
     assert descent.pressed_mm == before
 
 
+def pressed(before: list[np.ndarray], hidden: dict[int, tuple[int, ...]] | None = None) -> list[np.ndarray]:
+    """The steps of a press at 10 mm/s, seen at 100 Hz after the frames ``before``; points ``hidden`` in some frames."""
+    rest_n, start = len(before), before[-1]
+    fields = [
+        *before,
+        *(field_at(0.1 * k - 0.05) + start * np.array([1.0, 1.0, 0.0], np.float32) for k in range(1, 16)),
+    ]
+    for frame, point in (hidden or {}).items():
+        fields[frame] = fields[frame].copy()
+        fields[frame][point] = 0.0
+    descent = DepthSteps(SPEC, legs((0, 10.0)))
+    stamps = [k * 10_000_000 for k in range(len(fields))]
+    descent.begin(stamps[: rest_n + 1], fields[: rest_n + 1], rest_n)
+    complete = []
+    for stamp, field in zip(stamps[rest_n + 1 :], fields[rest_n + 1 :], strict=True):
+        descent.add(stamp, field)
+        complete += descent.fresh()
+    return complete
+
+
+STILL = field_at(0.0) + np.array([0.4, -0.3, 0.0], np.float32)
+
+
+@pytest.mark.parametrize("rest_n", [1, 2, 5])
+def test_motion_counts_from_the_mean_of_the_frames_at_rest(rest_n: int) -> None:
+    """But for the last of several, which may have begun to move."""
+    error = np.array([0.1, -0.2, 0.0], np.float32)
+    noisy = [STILL + (-1) ** k * error for k in range((rest_n - 1) // 2 * 2)]
+    complete = pressed([*noisy, *[STILL] * (rest_n - len(noisy))])
+    assert len(complete) == SPEC.steps_n
+    for number, step in enumerate(complete):
+        assert step == pytest.approx(field_at((number + 0.5) * SPEC.step_mm), abs=0.02)
+
+
+def test_a_point_hidden_in_any_frame_of_a_step_or_of_the_rest_is_not_seen_in_it() -> None:
+    at_rest, later = (0, 2, 3), (1, 4, 5)
+    complete = np.stack(pressed([STILL] * 4, {1: at_rest, 11: later}))  # the latter shows 0.75 mm
+    visible = np.ones(complete.shape[:-1])
+    visible[(slice(None), *at_rest)] = 0.0
+    visible[(slice(4, 6), *later)] = 0.0
+    assert np.array_equal(complete[..., 2], visible)
+    assert not complete[visible == 0].any()
+
+
 def test_what_lies_outside_training_is_named() -> None:
     spec = Pressing(lattice=LATTICE, step_mm=0.15, steps_n=8, trained={"speed_mm_s": Span(low=3, high=40)})
     assert spec.outside({"speed_mm_s": 10.0, "grip_n": None}) == ""

@@ -4,11 +4,13 @@ import itertools
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from service.contract import FrameSpec, TactileFrame
 from service.perception.finger import TactileFinger
 from service.perception.markers.tracker import MarkerTracker
-from service.perception.slip.imprint import ImprintChange, ImprintWatch
+from service.perception.slip.imprint import ImprintChange, ImprintWatch, _all_but, _Grid
 from service.perception.slip.slide import SlideWitness
 from service.session.fingers import Fingers
 from tests.service.perception.synthetic import draw, grid
@@ -160,3 +162,45 @@ def test_relief_that_goes_counts_as_lost_and_relief_that_comes_against_it(after,
         change = watch.update(image := picture(rng, 0.0, 0.0, height), tracker.update(image, k * PERIOD_NS))
     assert change is not None
     assert sign * change.let_go > 0.2
+
+
+@pytest.mark.parametrize(("pause_ns", "compared"), [(590_000_000, True), (610_000_000, False)])
+def test_after_six_tenths_of_a_second_an_imprint_is_compared_with_none_before(pause_ns, compared):
+    rng, tracker, watch, stamp_ns = np.random.default_rng(3), MarkerTracker(), ImprintWatch(), 0
+    for pause in (0, PERIOD_NS, pause_ns):
+        stamp_ns += pause
+        change = watch.update(image := picture(rng, 0.0, 0.0), tracker.update(image, stamp_ns))
+    assert (change is not None) is compared
+
+
+@given(st.integers(1, 200), st.sampled_from([0.05, 0.1]))
+def test_all_but_a_share_of_the_values_lie_at_or_below_their_bound(values_n, share):
+    values = np.random.default_rng(values_n).permutation(values_n).astype(np.float32)
+    assert _all_but(share, values) == int((1 - share) * (values_n - 1))
+
+
+def waves(grid, right, down):
+    """An imprint of long waves, moved by so many samples; [h, w, channels] as the grid samples it."""
+    shape = grid._unmarked.shape
+    y, x = np.mgrid[0 : shape[0], 0 : shape[1]].astype(np.float64)
+    x, y = x - right, y - down
+    channels = [np.sin(0.21 * x + 0.13 * y), np.sin(0.11 * x - 0.19 * y + 1.0), np.cos(0.16 * x + 0.05 * y)]
+    return (30.0 * np.stack(channels, -1) * grid._unmarked).astype(np.float32)
+
+
+@pytest.mark.parametrize(("shape", "pitch_samples"), [((7, 9), 8), ((14, 12), 4)])
+@given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(0.8, 1.25))
+def test_an_imprint_walks_right_and_down_by_its_shift_whatever_its_pressure(shape, pitch_samples, right, down, times):
+    grid = _Grid(shape, 20.0, 3)
+    walked = grid.walk(waves(grid, 0.0, 0.0), times * waves(grid, right, down))
+    assert np.array(walked) * pitch_samples == pytest.approx((right, down), abs=0.05)
+
+
+def test_the_power_of_an_imprint_is_its_mean_square_where_no_marker_hides_it():
+    grid = _Grid((7, 9), 20.0, 3)
+    even = np.asarray(grid._unmarked * np.array([3.0, 0.0, 6.0], np.float32), np.float32)
+    assert grid.power(even) == pytest.approx(np.full(even.shape[:2], 15.0), rel=1e-4)
+    left = even.copy()
+    left[:, 32:] = 0.0
+    assert grid.power(left)[:, :23] == pytest.approx(15.0, rel=1e-4)
+    assert not grid.power(left)[:, 42:].any(), "nothing is seen further than half a pitch and a marker"
