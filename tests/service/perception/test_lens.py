@@ -48,6 +48,8 @@ def test_a_lens_is_undone(lens, seed):
         (Lens((213.0, 160.0), 266.8, -0.15, 0.0), True),
         (Lens((213.0, 160.0), 266.8, -0.4, 0.0), False),
         (Lens((213.0, 160.0), 266.8, 0.0, -0.15), False),
+        (Lens((213.0, 160.0), 266.8, -0.8, 0.6), True),
+        (Lens((213.0, 160.0), 266.8, -0.9, 0.7), False),  # it folds half-way to the corners, not at them
         (Lens((213.0, 160.0), 0.0, 0.0, 0.0), False),
         (Lens((213.0, 160.0), 266.8, float("nan"), 0.0), False),
         (Lens((0.0, 0.0), 266.8, -0.15, 0.0), False),  # the far corner counts, wherever the centre lies

@@ -129,6 +129,13 @@ def test_a_row_at_the_border_counts_if_a_third_of_it_is_there(axis: int, share: 
     assert lattice.detected.shape[axis] == REST.shape[axis] - (not counts)
 
 
+def test_a_stray_spot_in_the_middle_hides_no_grid() -> None:
+    stray = REST[9:11, 10].mean(0, keepdims=True)
+    lattice = assemble(spots(np.concatenate([stray, REST.reshape(-1, 2)])), np.eye(2, dtype=np.float32) * PITCH, 5.0)
+    assert lattice is not None
+    assert lattice.xy_px == pytest.approx(REST)
+
+
 @pytest.mark.parametrize(("rows", "cols", "enough"), [(5, 5, True), (4, 9, False), (9, 4, False)])
 def test_a_grid_has_five_rows_and_columns_at_least(rows: int, cols: int, enough: bool) -> None:
     image = draw(grid(rows, cols, 24.0, 320, 320), np.random.default_rng(0), 320, 320, 8.0)
