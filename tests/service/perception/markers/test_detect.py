@@ -61,3 +61,24 @@ def test_a_grey_picture_is_read_as_a_coloured_one(shrink: int) -> None:
     grey = np.repeat(image[..., 1:2], 3, 2)
     detector = MarkerDetector(12.0, 32.0, shrink)
     assert np.array_equal(detector.response(grey[..., 0]), detector.response(np.ascontiguousarray(grey)))
+
+
+@given(st.integers(0, 1000), st.integers(1, 4))
+def test_a_marker_lies_at_the_top_of_the_paraboloid_through_nine_pixels_a_pixel_aside_at_most(
+    seed: int, shrink: int
+) -> None:
+    """Where they have no top, in their middle; its tightness is the least curvature, as a share of its height."""
+    response = np.random.default_rng(seed).uniform(1.0, 2.0, (9, 12)).astype(np.float32)
+    cells = [(2, 3), (5, 8), (7, 10)]
+    spots = MarkerDetector(5.0, 15.0, shrink)._refine(response, np.array([row * 12 + column for row, column in cells]))
+    dy, dx = np.mgrid[-1:2, -1:2].reshape(2, -1)
+    terms = np.stack([np.ones(9), dx, dy, dx * dx, dx * dy, dy * dy], -1)
+    for k, (row, column) in enumerate(cells):
+        nine = response[row - 1 : row + 2, column - 1 : column + 2].ravel()
+        _, gx, gy, xx, xy, yy = np.linalg.lstsq(terms, nine, rcond=None)[0]
+        bend = np.array([[2 * xx, xy], [xy, 2 * yy]])
+        top = np.clip(-np.linalg.solve(bend, [gx, gy]), -1, 1) if np.linalg.det(bend) > 1e-9 else np.zeros(2)
+        at_px = (np.array([column, row]) + top + 0.5) * shrink - 0.5
+        assert spots.xy_px[k] == pytest.approx(at_px, abs=1e-2 * shrink)
+        assert spots.strength[k] == response[row, column]
+        assert spots.tightness[k] == pytest.approx(-np.linalg.eigvalsh(bend)[-1] / response[row, column], abs=1e-4)
