@@ -57,6 +57,15 @@ def test_a_raw_frame_of_the_rectified_size_is_rectified() -> None:
     assert plain.image is raw, "without a calibration the camera delivers rectified frames"
 
 
+def test_a_finger_has_no_reference_until_it_is_asked_for_one() -> None:
+    renderer, finger = drawn.renderer("left"), drawn.watch()
+    for k, asked in enumerate((False, False, True)):
+        if asked:
+            finger.rearm()
+        slip = finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, renderer.raw(drawn.gel(0.0), k))).slip
+        assert (slip.state, slip.reason) == (("hold", "reference taken") if asked else ("unknown", "not armed"))
+
+
 def test_the_parts_of_a_frames_cost_are_no_more_than_its_time() -> None:
     renderer, finger = drawn.renderer("left"), drawn.watch()
     for k in range(3):

@@ -78,6 +78,24 @@ def test_step_weights_are_those_of_a_mean_over_a_line() -> None:
     assert weights @ depths == pytest.approx(0.35)
 
 
+@given(
+    st.lists(st.floats(0.01, 0.5), min_size=1, max_size=8),
+    st.floats(-0.3, 0.6),
+    st.floats(0.05, 1.0),
+    st.integers(0, 99),
+)
+def test_a_step_is_the_mean_over_its_depth_of_what_frames_show_and_lies_between(
+    gaps_mm: list[float], begin_mm: float, size_mm: float, seed: int
+) -> None:
+    """Before the first frame and after the last one, it is what that one shows."""
+    depths = np.concatenate([[0.0], np.cumsum(gaps_mm)])
+    shown, end_mm = np.random.default_rng(seed).normal(size=len(depths)), begin_mm + size_mm
+    corners = np.unique([begin_mm, end_mm, *depths[(depths > begin_mm) & (depths < end_mm)]])
+    between = np.interp(corners, depths, shown)
+    mean = float((0.5 * (between[1:] + between[:-1]) * np.diff(corners)).sum()) / size_mm
+    assert step_weights(depths, begin_mm, end_mm) @ shown == pytest.approx(mean, abs=1e-9)
+
+
 @pytest.mark.parametrize("pitch_mm", [0.75 * 1.05, 0.8, 1.05, 1.3 * 1.05, 2.0])
 def test_a_field_is_the_same_on_the_lattice_whatever_the_marker_pitch(pitch_mm: float) -> None:
     """The range that cards allow, whose networks have read a single pitch, rests on this."""
