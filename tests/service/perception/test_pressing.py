@@ -170,6 +170,7 @@ def test_a_stamp_that_does_not_advance_adds_nothing() -> None:
     descent = DepthSteps(SPEC, legs((0, 10.0)))
     stamps = [0, 33_000_000, 66_000_000]
     descent.begin(stamps, [field_at(0.0), field_at(0.0), field_at(0.2)], 2)
+    assert descent.pressed_mm == 0.0
     assert descent.pressed_at_mm(66_000_000) is None, "two frames in motion show where it began"
     descent.add(99_000_000, field_at(0.53))
     before = descent.pressed_mm
@@ -180,7 +181,9 @@ def test_a_stamp_that_does_not_advance_adds_nothing() -> None:
     assert descent.pressed_mm == before
 
 
-def pressed(before: list[np.ndarray], hidden: dict[int, tuple[int, ...]] | None = None) -> list[np.ndarray]:
+def pressed(
+    before: list[np.ndarray], hidden: dict[int, tuple[int, ...]] | None = None, arm: Legs | None = None
+) -> list[np.ndarray]:
     """The steps of a press at 10 mm/s, seen at 100 Hz after the frames ``before``; points ``hidden`` in some frames."""
     rest_n, start = len(before), before[-1]
     fields = [
@@ -190,7 +193,7 @@ def pressed(before: list[np.ndarray], hidden: dict[int, tuple[int, ...]] | None 
     for frame, point in (hidden or {}).items():
         fields[frame] = fields[frame].copy()
         fields[frame][point] = 0.0
-    descent = DepthSteps(SPEC, legs((0, 10.0)))
+    descent = DepthSteps(SPEC, arm or legs((0, 10.0)))
     stamps = [k * 10_000_000 for k in range(len(fields))]
     descent.begin(stamps[: rest_n + 1], fields[: rest_n + 1], rest_n)
     complete = []
@@ -212,6 +215,11 @@ def test_motion_counts_from_the_mean_of_the_frames_at_rest(rest_n: int) -> None:
     assert len(complete) == SPEC.steps_n
     for number, step in enumerate(complete):
         assert step == pytest.approx(field_at((number + 0.5) * SPEC.step_mm), abs=0.02)
+
+
+def test_an_arm_that_stood_before_it_touched_presses_as_one_that_did_not() -> None:
+    waited = pressed([STILL] * 4, arm=legs((0, 0.0), (30_000_000, 10.0)))
+    assert np.stack(waited) == pytest.approx(np.stack(pressed([STILL] * 4)))
 
 
 def test_a_point_hidden_in_any_frame_of_a_step_or_of_the_rest_is_not_seen_in_it() -> None:

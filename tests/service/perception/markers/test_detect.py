@@ -55,6 +55,12 @@ def test_a_smeared_marker_is_less_tight_than_a_round_one() -> None:
     )
 
 
+def test_a_picture_is_read_as_large_as_it_is_unless_it_is_shrunk() -> None:
+    image = alone(70.0, 60.0, 12.0)
+    assert MarkerDetector(12.0, 32.0).response(image).shape == (120, 160)
+    assert MarkerDetector(12.0, 32.0, 3).response(image).shape == (40, 53), "what is left at the border is cut off"
+
+
 @pytest.mark.parametrize("shrink", [1, 2])
 def test_a_grey_picture_is_read_as_a_coloured_one(shrink: int) -> None:
     image = alone(70.0, 60.0, 12.0)

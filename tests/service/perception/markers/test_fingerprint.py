@@ -110,6 +110,14 @@ def test_a_fingerprint_is_that_of_the_places_now_wherever_the_markers_were_first
 def test_two_prints_are_compared_by_24_shared_markers_or_more(shared_n: int, *, known: bool):
     few = fingerprint(np.random.default_rng(3).normal(0, 0.02, (4, 6, 2)), (np.arange(24) < shared_n).reshape(4, 6))
     assert (likeness(few, few) is not None) is known
+    assert markers_n(few) == shared_n
+
+
+def test_an_unknown_gel_or_one_without_irregularities_is_like_none():
+    regular = fingerprint(np.zeros((6, 6, 2)), np.ones((6, 6), np.bool_))
+    assert likeness(regular, regular) is None
+    assert likeness("", print_of(GEL)) is None
+    assert (markers_n(""), markers_n(regular)) == (0, 36)
 
 
 @pytest.mark.parametrize("text", ["AQE=", "AQEA\nAA==", "AQEAAA", "grid"])
