@@ -1,5 +1,6 @@
 """Marker fields as networks read them: on the sensor's lattice, whichever part of it a tracker found."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -58,6 +59,58 @@ def test_no_grid_another_pitch_or_another_place_is_refused_by_name() -> None:
     for wrong, word in ((empty_field(0, "no_grid", ""), "0 x 0"), (coarse, "22.0 px"), (away, "outside")):
         with pytest.raises(ValueError, match=word):
             marker_array(wrong, SENSOR.markers)
+
+
+@pytest.mark.parametrize(("times", "fits"), [(0.84, False), (0.86, True), (1.14, True), (1.16, False)])
+def test_a_grid_is_another_sensors_if_its_pitch_is_off_by_more_than_15_percent(times: float, *, fits: bool) -> None:
+    field = replace(true_field(), pitch_px=times * SENSOR.marker_pitch_px)
+    with nullcontext() if fits else pytest.raises(ValueError, match="expected 20 x 21"):
+        marker_array(field, SENSOR.markers)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize(
+    ("begins", "missing_n", "laid"),
+    [
+        (-2, 0, 0),
+        (-3, 0, -3),
+        (2, 0, 0),
+        (3, 0, 3),
+        (3, 2, 2),
+        (4, 2, 2),
+        (5, 2, 5),
+        (1, 2, 1),
+        (-1, 2, 0),
+        (-3, 2, -3),
+    ],
+)
+def test_a_grid_that_was_carried_by_two_pitches_lies_inside_its_lattice_and_one_further_out_does_not(
+    axis: int, begins: int, missing_n: int, laid: int
+) -> None:
+    """``begins`` pitches beside the lattice's border, with ``missing_n`` rows or columns fewer."""
+    whole = true_field()
+    cut = [slice(None), slice(None)]
+    cut[axis] = slice(0, whole.valid.shape[axis] - missing_n)
+    part = tuple(cut)
+    carried = np.zeros(2, np.float32)
+    carried[1 - axis] = begins * SENSOR.marker_pitch_px
+    field = replace(
+        whole,
+        rest_px=whole.rest_px[part] + carried,
+        displacement_px=whole.displacement_px[part],
+        valid=whole.valid[part],
+    )
+    rows = np.flatnonzero(marker_array(field, SENSOR.markers)[..., 2].any(1 - axis))
+    sides_n = whole.valid.shape[axis]
+    assert rows.tolist() == [k for k in range(laid, laid + sides_n - missing_n) if 0 <= k < sides_n]
+
+
+@pytest.mark.parametrize(("begins", "inside"), [(-10, True), (-11, False), (10, True), (11, False)])
+def test_a_grid_half_of_whose_markers_lie_outside_the_lattice_is_refused(begins: int, *, inside: bool) -> None:
+    whole = true_field()
+    away = replace(whole, rest_px=whole.rest_px + np.float32([0.0, begins * SENSOR.marker_pitch_px]))
+    with nullcontext() if inside else pytest.raises(ValueError, match="outside the lattice"):
+        marker_array(away, SENSOR.markers)
 
 
 def test_pictures_without_markers_are_no_input_for_a_network_that_reads_markers(tmp_path) -> None:
