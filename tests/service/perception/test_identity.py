@@ -56,6 +56,22 @@ def test_limits_belong_to_the_gel_that_they_name():
     assert Compared(None, OTHER_LIGHT, TELLING_N - 1).same is False
 
 
+@pytest.mark.parametrize(
+    ("alike", "apart", "markers_n", "same"),
+    [
+        (0.49, 0.0, 150, False),
+        (0.51, 1.0, 150, True),
+        (0.49, 0.0, 149, True),
+        (0.94, 0.031, 149, False),
+        (0.94, 0.029, 149, True),
+        (0.96, 0.031, 149, True),
+    ],
+)
+def test_a_gel_is_refused_where_no_own_one_was_and_every_other_one(alike, apart, markers_n, *, same: bool):
+    """With 150 markers below half alike; with fewer 0.95 are asked of a print, or a light at most 3 % apart (0224)."""
+    assert Compared(alike, apart, markers_n).same is same
+
+
 def camera_of(finger: Finger, seed: int, light_shift: float) -> Renderer:
     return Renderer(replace(Appearance.draw(SCENE, finger, seed), light_shift=light_shift))
 

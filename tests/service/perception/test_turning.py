@@ -76,6 +76,17 @@ def test_the_less_of_a_turn_goes_back_the_more_of_it_stays(turn_rad, one, two, s
     assert stays[0] <= math.degrees(turn_rad) + 1e-3
 
 
+@pytest.mark.parametrize(("shown_deg", "told"), [(0.48, False), (0.52, True), (-0.48, False), (-0.52, True)])
+def test_half_a_degree_is_too_much_for_an_object_that_hangs_or_goes_in(shown_deg, told):
+    assert bool(hangs_turned(hanging(shown_deg))[1]) is told
+    assert bool(turned_going_in(hanging(shown_deg), hanging(0.0))[1]) is told
+    assert bool(turned_going_in(last(math.radians(shown_deg)), FREE)[1]) is told
+
+
+def test_the_gels_turn_an_object_back_by_a_twelfth_more_than_their_markers_show():
+    assert lasting_turn_deg(last(math.radians(2.0), math.radians(1.0)), FREE) == pytest.approx(2.0 - 1.08, abs=1e-3)
+
+
 @pytest.mark.parametrize("blind", ["left", "right"])
 def test_a_turn_that_one_finger_does_not_show_is_not_known_and_the_object_is_taken_afresh(blind):
     both = last(0.1, 0.1)
