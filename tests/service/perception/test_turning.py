@@ -87,6 +87,14 @@ def test_the_gels_turn_an_object_back_by_a_twelfth_more_than_their_markers_show(
     assert lasting_turn_deg(last(math.radians(2.0), math.radians(1.0)), FREE) == pytest.approx(2.0 - 1.08, abs=1e-3)
 
 
+@pytest.mark.parametrize(("left_deg", "right_deg"), [(2.0, -0.5), (0.5, -2.0)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_finger_that_shows_more_of_a_turn_counts_signed_as_the_left_one_sees_it(left_deg, right_deg, sign):
+    seen_rad = np.radians(sign * np.array([left_deg, right_deg]))
+    both = PairObservation(finger("left", seen_rad[0]), finger("right", seen_rad[1]))
+    assert lasting_turn_deg(both, FREE) == pytest.approx(sign * 2.0, abs=1e-3)
+
+
 @pytest.mark.parametrize("blind", ["left", "right"])
 def test_a_turn_that_one_finger_does_not_show_is_not_known_and_the_object_is_taken_afresh(blind):
     both = last(0.1, 0.1)

@@ -84,6 +84,7 @@ def shifted(points, u, v):
         lambda p: shifted(p, -13.5, 0),
         lambda p: shifted(p, 0, 13.5),
         lambda p: shifted(p, 9.5, -9.5),
+        lambda p: shifted(p, 7.5, 7.5),  # no spot is near any marker's last place
         lambda p: p + np.array([13.5, 0]) * np.exp(-np.square(p - 160).sum(-1) / 2 / 50**2)[..., None],
         lambda p: shifted(p, 45, 0),  # exactly three pitches: only the border tells
         lambda p: shifted(p, 0, -45),
