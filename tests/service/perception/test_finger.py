@@ -66,6 +66,21 @@ def test_a_finger_has_no_reference_until_it_is_asked_for_one() -> None:
         assert (slip.state, slip.reason) == (("hold", "reference taken") if asked else ("unknown", "not armed"))
 
 
+@pytest.mark.parametrize(("bulge", "state"), [(1.8, "no_contact"), (2.2, "release")])
+def test_a_gel_that_comes_to_rest_has_let_go_of_what_bulged_it_by_twice_an_open_ones_limit(bulge, state) -> None:
+    """Less may have been no object at all."""
+    renderer, finger = drawn.renderer("left"), drawn.watch()
+    finger.learn_open(TactileFrame("left", 0, 0, renderer.raw(FREE, 0)))
+    finger.rearm()
+    gripped = FREE + np.float32([bulge * 0.019, 0.0, 0.0])  # mm, of which an open gel's limit is that much
+    held, free = (
+        finger.observe(TactileFrame("left", k, k * drawn.PERIOD_NS, renderer.raw(gel, k)))
+        for k, gel in enumerate((gripped, FREE), 1)
+    )
+    assert held.bulge == pytest.approx(bulge, abs=0.1)
+    assert free.slip.state == state
+
+
 def test_the_parts_of_a_frames_cost_are_no_more_than_its_time() -> None:
     renderer, finger = drawn.renderer("left"), drawn.watch()
     for k in range(3):

@@ -201,12 +201,13 @@ def test_a_grid_is_carried_by_the_affine_map_that_fits_twelve_nodes_or_more(seed
 
 
 def test_nodes_on_a_line_carry_no_grid() -> None:
-    line = np.zeros(REST.shape[:2], bool)
-    line[7] = True
     even = grid(jitter=0.0).astype(np.float32)
-    assert np.array_equal(_affine(even, 2 * even, line), even)
-    line[8, 3] = True
-    assert _affine(even, 2 * even, line) == pytest.approx(2 * even, rel=1e-3)
+    down, right = np.indices(REST.shape[:2])
+    for line in (down == 7, right == 7, down == right, down + right == 19):
+        assert np.array_equal(_affine(even, 2 * even, line), even)
+        aside = line.copy()
+        aside[8, 3] = True
+        assert _affine(even, 2 * even, aside) == pytest.approx(2 * even, rel=1e-3)
 
 
 def placed_at(moved_px: np.ndarray, valid: np.ndarray) -> Match:
