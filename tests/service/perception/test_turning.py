@@ -76,11 +76,11 @@ def test_the_less_of_a_turn_goes_back_the_more_of_it_stays(turn_rad, one, two, s
     assert stays[0] <= math.degrees(turn_rad) + 1e-3
 
 
-@pytest.mark.parametrize(("shown_deg", "told"), [(0.48, False), (0.52, True), (-0.48, False), (-0.52, True)])
-def test_half_a_degree_is_too_much_for_an_object_that_hangs_or_goes_in(shown_deg, told):
-    assert bool(hangs_turned(hanging(shown_deg))[1]) is told
-    assert bool(turned_going_in(hanging(shown_deg), hanging(0.0))[1]) is told
-    assert bool(turned_going_in(last(math.radians(shown_deg)), FREE)[1]) is told
+@pytest.mark.parametrize(("shown_deg", "too_much"), [(0.48, False), (0.52, True), (-0.48, False), (-0.52, True)])
+def test_half_a_degree_is_too_much_for_an_object_that_hangs_or_goes_in(shown_deg, too_much):
+    assert bool(hangs_turned(hanging(shown_deg))[1]) is too_much
+    assert bool(turned_going_in(hanging(shown_deg), hanging(0.0))[1]) is too_much
+    assert bool(turned_going_in(last(math.radians(shown_deg)), FREE)[1]) is too_much
 
 
 def test_the_gels_turn_an_object_back_by_a_twelfth_more_than_their_markers_show():
