@@ -58,3 +58,11 @@ def test_a_marker_cut_by_the_border_counts_unless_it_was_carried_there(up_px, co
     field = tracker.update(draw(low - np.array([0.0, up_px]), rng, noise=0.5), FRAME_NS)
     assert field.valid[1:].all()
     assert (field.valid[0] == counts).all()
+
+
+def test_a_grey_picture_is_followed_as_a_coloured_one():
+    rng, tracker = np.random.default_rng(1), MarkerTracker()
+    tracker.update(draw(REST, rng)[..., 1], 0)
+    field = tracker.update(draw(REST + 0.5, rng)[..., 1], FRAME_NS)
+    assert field.valid.all()
+    assert field.displacement_px.mean((0, 1)) == pytest.approx((0.5, 0.5), abs=0.02)
