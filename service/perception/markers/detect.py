@@ -70,7 +70,7 @@ class MarkerDetector:
     def detect(self, image: NDArray[np.uint8], threshold: float) -> Candidates:
         """Local maxima of the response above ``threshold`` grey levels, in pixels of the full image."""
         response = self.response(image)
-        reach = round(0.3 * self.pitch_px / self.shrink)
+        reach = max(1, round(0.3 * self.pitch_px / self.shrink))
         tallest = cv2.dilate(response, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
         peaks = (response >= tallest) & (response > threshold)
         peaks[:1] = peaks[-1:] = False

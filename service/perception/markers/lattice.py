@@ -219,6 +219,7 @@ def fill_gaps(xy: FloatArray, detected: BoolArray) -> tuple[FloatArray, FloatArr
     """Nodes not detected are placed on a cubic surface through the detected ones; also the mean basis [2, 2]."""
     rows, cols = detected.shape
     v, u = np.mgrid[0:rows, 0:cols].astype(np.float64)
+    u, v = u / max(cols - 1, 1) - 0.5, v / max(rows - 1, 1) - 0.5  # powers of whole numbers are ill conditioned
     order = 3 if detected.sum() >= 40 else 1
     terms = np.stack([u**i * v**j for i in range(order + 1) for j in range(order + 1 - i)], -1)
     weights = np.linalg.lstsq(terms[detected], xy[detected].astype(np.float64), rcond=None)[0]
