@@ -64,4 +64,6 @@ def _value(value: Any) -> str:
             return "[" + ", ".join(map(_value, value)) + "]"
         case bool():
             return str(value).lower()
-    return repr(value)  # of a float as short as it is exact, and inf and nan are TOML's words, too
+        case int() | float():  # as short as it is exact, also of numpy; inf and nan are TOML's words, too
+            return (float if isinstance(value, float) else int).__repr__(value)
+    raise TypeError(f"no TOML for {value!r}")

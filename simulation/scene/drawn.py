@@ -4,7 +4,6 @@ Worlds come from a Latin hypercube: over `count` of them every quantity is sprea
 those that collection draws from (`docs/worlds.md`), and they are frozen: do not change them to suit a network.
 """
 
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from service.contract.toml import toml_text
 from simulation.scene import shapes
 from simulation.scene.rubber import touched_width_mm
 from simulation.scene.scene import Scene, SceneError, parsed
@@ -237,7 +237,4 @@ def world(tables: Tables, name: str) -> World:
 
 def toml(tables: Tables, comment: str) -> str:
     """A TOML file with these tables."""
-    lines = [f"# {comment}"]
-    for table, values in tables.items():
-        lines += ["", f"[{table}]", *(f"{key} = {json.dumps(value)}" for key, value in values.items())]
-    return "\n".join(lines) + "\n"
+    return f"# {comment}\n\n{toml_text(tables)}"

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -68,3 +69,9 @@ def test_what_is_written_is_read_again(tables: dict[str, Any]) -> None:
 def test_a_list_of_tables_has_a_line_for_each_and_what_is_none_is_left_out() -> None:
     text = toml_text({"probes": ({"x_mm": 8.0, "said": None}, {"x_mm": -8.0}), "seed": None, "gels": {"left": "a"}})
     assert text == 'probes = [\n  {x_mm = 8.0},\n  {x_mm = -8.0},\n]\n\n[gels]\nleft = "a"\n'
+
+
+def test_a_number_of_numpy_is_a_number_and_what_toml_cannot_hold_is_refused() -> None:
+    assert toml_text({"x_mm": np.float64(0.1)}) == "x_mm = 0.1\n"
+    with pytest.raises(TypeError, match="no TOML for"):
+        toml_text({"begun": object()})
