@@ -92,14 +92,14 @@ def _detector(name: str, alarms: Alarms, slips: Sequence[Row], holds: Sequence[R
         "early": early,
         "lead": percentiles(leads, 50, 5, 95),
         "false": share([bool(alarms(row)) for row in holds]),
-        "meant": dict(Counter(meant(min(alarms(row)), row["run"], labels) for row in holds if alarms(row))),
+        "occasions": dict(Counter(occasion(min(alarms(row)), row["run"], labels) for row in holds if alarms(row))),
         "by_length": [
             share([bool(alarms(row)) for row in holds if (row["frames_n"] < 450) == cut]) for cut in (True, False)
         ],
     }
 
 
-def meant(alarm: int, run: str, labels: Row) -> str:
+def occasion(alarm: int, run: str, labels: Row) -> str:
     """What an alarm in a held run met, by the labels: that the object was put down, slid in the hand, or neither."""
     down, slide = labels["set_down"].get(run), labels["held"].get(run, {}).get("slide")
     if down is not None and alarm >= down:

@@ -69,7 +69,7 @@ def _detectors(rows: list[Row]) -> Table:
         ("of these before the slide", "early", "d"),
         ("frames from alarm to loss: median (5 .. 95 %)", lambda row: Estimate(*row["lead"]), ".0f"),
         ("held runs with an alarm", lambda row: _counted(row["false"])),
-        *((title, lambda row, name=name: row["meant"].get(name, 0), "d") for name, title in _MEANT),
+        *((title, lambda row, name=name: row["occasions"].get(name, 0), "d") for name, title in _OCCASIONS),
         ("ms a finger and frame", "ms", ".1f"),
     )
 
@@ -103,7 +103,7 @@ def _against_targets(data: Row) -> str:
     live, whole, auc = data["detectors"][0], data["cost_ms"]["whole"], data["witness"]["auc"]
     warned, false, lost, not_lost = live["warned"], live["false"], data["lost"], data["lost_of_held"]
     alarmed = f"what runs live, markers or witness, stops the arm for slip in {_of(false)} held runs"
-    met = ", ".join(f"{live['meant'].get(name, 0)} {title}" for name, title in _MEANT)
+    met = ", ".join(f"{live['occasions'].get(name, 0)} {title}" for name, title in _OCCASIONS)
     detected = f"it detects {_of(warned)} visible slides at least {AHEAD_N} frames before the loss"
     early = f"{live['early']} of them before the slide begins"
     spent = (
@@ -167,9 +167,9 @@ def _meaning(data: Row, left_out: Row) -> str:
           insertion is lost. If something moved, it is read like any press, and the client bounds the correction.
         - **Most alarms in held runs meet something.** All runs of 450 frames end with the object put down, where it is
           pressed on what it is put on. The markers show a press as they do in a descent, which is stopped for it:
-          {live["meant"].get(alarms.PUT_DOWN, 0)} of the alarms come then. In
-          {live["meant"].get(alarms.SLIDING, 0)} more the object turns in the hand by its label, which was set before.
-          When it is put down was labelled after the alarms were known, in every run of that length. By the runs' own
+          {live["occasions"].get(alarms.PUT_DOWN, 0)} of the alarms come then. In
+          {live["occasions"].get(alarms.SLIDING, 0)} more the object turns in the hand by its label, which was set
+          before. When it is put down was labelled after the alarms were known, in every run of that length. By the runs' own
           names all of these are false alarms.
         - **No recording is a descent.** Objects are lifted and shaken at some eight frames a second, and every motion
           ends. In {data["stalled_of_held"]} held runs a patch that stopped was taken for a slide, which is only right
@@ -202,7 +202,7 @@ def _of(counted: Row) -> str:
     return f"{counted['hits']} of {counted['runs']}"
 
 
-_MEANT = (
+_OCCASIONS = (
     (alarms.PUT_DOWN, "as it is put down"),
     (alarms.SLIDING, "as it slides, by its label"),
     (alarms.RESTING, "otherwise"),

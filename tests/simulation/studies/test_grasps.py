@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulation.__main__ import main
-from simulation.studies.slip.alarms import meant, share
+from simulation.studies.slip.alarms import occasion, share
 from simulation.studies.slip.grasps import figures
 
 LABELS = {
@@ -113,13 +113,13 @@ def test_a_slide_that_nobody_watches_for_is_no_alarm_of_what_runs_live():
 )
 def test_an_alarm_in_a_held_run_meets_what_its_labels_say(alarm, slide, down, met):
     labels = {"held": {"tin_4_hold": {"slide": slide}}, "set_down": {} if down is None else {"tin_4_hold": down}}
-    assert meant(alarm, "tin_4_hold", labels) == met
+    assert occasion(alarm, "tin_4_hold", labels) == met
 
 
 def test_what_alarms_in_held_runs_met_is_counted_by_the_first_of_each():
     result = detectors(figures(rows(), LABELS, evidence()))
-    assert result["markers alone, as live"]["meant"] == {"neither": 1}, "it stops at 70, before 75"
-    assert result["witness alone, as live"]["meant"] == {"put down": 1}, "it stops at 80"
+    assert result["markers alone, as live"]["occasions"] == {"neither": 1}, "it stops at 70, before 75"
+    assert result["witness alone, as live"]["occasions"] == {"put down": 1}, "it stops at 80"
 
 
 def test_intervals_are_exact():
