@@ -169,8 +169,8 @@ def _meaning(data: Row, left_out: Row) -> str:
           pressed on what it is put on. The markers show a press as they do in a descent, which is stopped for it:
           {live["occasions"].get(alarms.PUT_DOWN, 0)} of the alarms come then. In
           {live["occasions"].get(alarms.SLIDING, 0)} more the object turns in the hand by its label, which was set
-          before. When it is put down was labelled after the alarms were known, in every run of that length. By the runs' own
-          names all of these are false alarms.
+          before. When it is put down was labelled after the alarms were known, in every run of that length. By the
+          runs' own names all of these are false alarms.
         - **No recording is a descent.** Objects are lifted and shaken at some eight frames a second, and every motion
           ends. In {data["stalled_of_held"]} held runs a patch that stopped was taken for a slide, which is only right
           while the arm moves on. In [simulated descents](slip_report.md) the markers alone raise no false alarm.
