@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from reporting.machine import commit
@@ -135,10 +136,23 @@ def hold_out(
     release: Checkpoint, samples: Pressed, stages: tuple[StageName, ...], seed: int, presses: Pressed | None = None
 ) -> Held:
     """Each stage's predictions on held-out fixtures; empty if there are too few samples."""
-    groups = samples.groups[samples.objects != LATER]
-    if len(groups) < FEWEST or len(np.unique(groups)) < FOLDS:
+    if not _enough(samples.groups[compared_on(samples)]):
         return {}
     return {stage: held_out(stage, release, samples, seed, presses) for stage in dict.fromkeys(("released", *stages))}
+
+
+def compared_on(samples: Pressed) -> NDArray[np.bool_]:
+    """[N]: the samples that networks are compared and calibrated on: probes, or all first attempts if they are too few.
+
+    The error of a probe is known. That of work is in part the release's own opinion, see `drawn`.
+    """
+    probes = samples.objects == PROBE
+    return np.asarray(probes if _enough(samples.groups[probes]) else samples.objects != LATER)
+
+
+def _enough(groups: NDArray[np.str_]) -> bool:
+    """Whether attempts of these fixtures can be divided into fixtures to fit and fixtures held out."""
+    return len(groups) >= FEWEST and len(np.unique(groups)) >= FOLDS
 
 
 def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Comparison:
@@ -147,13 +161,13 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
     The best is the likeliest stage without objections, else calibration if the release is proven too sure; if it is
     not, the likeliest.
     """
-    first = samples.objects != LATER
-    groups = samples.groups[first]
+    among = compared_on(samples)
+    groups = samples.groups[among]
     fixtures_n = len(np.unique(groups))
     if not held:
         few = f"{len(groups)} first attempts of {fixtures_n} fixtures, expected {FEWEST} of {FOLDS} at least"
         return Comparison({}, "released", (few, "probe more"), len(groups), fixtures_n)
-    predictions = {stage: pair.take(first) for stage, (pair, _) in held.items()}
+    predictions = {stage: pair.take(among) for stage, (pair, _) in held.items()}
     folds = folds_of(groups, seed)
     fair = {stage: _fair(stage, release.scales, one, folds) for stage, one in predictions.items()}
     loss = {stage: float(losses(one).mean()) for stage, one in fair.items()}
@@ -191,8 +205,9 @@ def _fitted(
     presses: Pressed | None,
 ) -> Checkpoint:
     """The release after the accepted stage on all samples, calibrated on the predictions ``held`` out."""
-    pair, joint = (predictions.take(samples.objects != LATER) for predictions in held)
-    folds = folds_of(samples.groups[samples.objects != LATER], seed)
+    among = compared_on(samples)
+    pair, joint = (predictions.take(among) for predictions in held)
+    folds = folds_of(samples.groups[among], seed)
     around = comparison.best == "around"
     rows = np.arange(len(samples))
     network = fit_around(release, presses, seed) if around else fit_stage(comparison.best, release, samples, rows, seed)

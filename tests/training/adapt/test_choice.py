@@ -17,21 +17,28 @@ BETTER = np.random.default_rng(2).permutation(PROBES_N) < PROBES_N // 2
 OTHERS = ("gain", "around")
 
 
-def predicted(scales, spread, known_of="probe"):
-    """Predictions of the right direction, off by ``spread`` [N] times what they state, calibrated by ``scales``."""
+def predicted(scales, spread, known_of):
+    """Predictions of the right direction, off by ``spread`` [N] times what they state, calibrated by ``scales``.
+
+    ``known_of`` [N]: what the errors are known from.
+    """
     truth = np.random.default_rng(0).uniform(-12, 12, (len(spread), 2))
     off = 2.0 * spread[:, None] * np.random.default_rng(1).normal(size=truth.shape)
     logits = 4.0 * scales.temperature * np.eye(9)[class_of(truth.astype(np.float32))]
     sigma = 2.0 / np.array([scales.sigma_x, scales.sigma_theta])
-    return Predictions(logits, truth + off, np.log(sigma) + np.zeros_like(truth), truth, np.full(len(spread), known_of))
+    return Predictions(logits, truth + off, np.log(sigma) + np.zeros_like(truth), truth, known_of)
 
 
-def choice(root, spreads, *, work=False):
-    """The comparison of stages whose predictions are off by their ``spreads`` [N] times what they state."""
+def choice(root, spreads, *, work=False, probes_n=0):
+    """The comparison of stages whose predictions are off by their ``spreads`` [N] times what they state.
+
+    The first ``probes_n`` samples are of probes even if the rest is of ``work``.
+    """
     count = len(spreads["released"])
-    samples = read_episodes(recorded(root, count, work=work), Sensor.load())
+    recorded(root, probes_n, seed=1)
+    samples = read_episodes(recorded(root, count - probes_n, work=work, first=probes_n), Sensor.load())
     release = Checkpoint.load(released_models() / "checkpoint.pt")
-    made = {stage: predicted(release.scales, one, "work" if work else "probe") for stage, one in spreads.items()}
+    made = {stage: predicted(release.scales, one, samples.objects) for stage, one in spreads.items()}
     return compare(release, samples, {stage: (one, one) for stage, one in made.items()}, 0)
 
 
@@ -95,3 +102,18 @@ def test_a_stage_with_a_proven_gain_comes_before_calibration(tmp_path):
     comparison = choice(tmp_path, {"released": off, "calibration": off, "gain": np.full(PROBES_N, 0.7)})
     assert comparison.accepted
     assert comparison.best == "gain"
+
+
+@pytest.mark.parametrize(
+    ("probes_n", "best", "compared_n"),
+    [(30, "gain", 30), (20, "gain", 20), (19, "all", 60)],
+    ids=["probes", "just enough probes", "too few probes"],
+)
+def test_work_judges_no_network_where_there_are_probes_enough(tmp_path, probes_n, best, compared_n):
+    """`gain` does better on the probes, `all` on the errors that work only bounds."""
+    probe = np.arange(PROBES_N) < probes_n
+    stages = {"gain": np.where(probe, 0.5, 2.0), "all": np.where(probe, 2.0, 0.5)}
+    comparison = choice(tmp_path, {"released": np.ones(PROBES_N), **stages}, work=True, probes_n=probes_n)
+    likeliest = min(("gain", "all"), key=lambda stage: comparison.figures[stage]["likelihood"])
+    assert likeliest == best
+    assert comparison.samples_n == compared_n

@@ -26,13 +26,13 @@ def steps_of(x_mm, theta_deg, rng):
     return out
 
 
-def recorded(root, count, off_mm=0.0, seed=0, *, stated_right=True, work=False):
+def recorded(root, count, off_mm=0.0, seed=0, *, stated_right=True, work=False, first=0):
     """Recordings of probes by a tool that is off by ``off_mm``, or of ``work`` that went in at the next attempt.
 
-    Unless ``stated_right``, of something else.
+    Unless ``stated_right``, of something else. They are numbered from ``first``.
     """
     rng = np.random.default_rng(seed)
-    for index in range(count):
+    for index in range(first, first + count):
         x_mm, theta_deg = (float(value) for value in rng.uniform(-12, 12, 2))
         felt = (x_mm - off_mm, theta_deg) if stated_right else rng.uniform(-12, 12, 2)
         attempts = [(steps_of(*felt, rng), {"dx_mm": -x_mm, "dtheta_deg": -theta_deg})]
