@@ -45,6 +45,7 @@ class EgmArm:
     _watch: EgmWatch = field(init=False)
     _measured: WorkPose | None = None
     _sequence: int = 0
+    _ahead: int = 0  # answers that went out before their datagram came
     _failed: str = ""
     _ready: asyncio.Event = field(default_factory=asyncio.Event)
     _timer: asyncio.TimerHandle | None = None
@@ -98,6 +99,7 @@ class EgmArm:
         if self._guide is not None:
             self._guide.hold()
             self._answer()
+            self._ahead += 1
             self._holds_us.append((time.perf_counter_ns() - begun_ns) / 1e3)
         if stop:
             self._failed = self._failed or reason
@@ -195,7 +197,7 @@ class EgmArm:
         self._measured = measured
         self._check(state, measured, tilt_deg)
         self._advance(elapsed_s, now_s)
-        self._answer()
+        self._answer_once()
         self._report(measured, now_s)
 
     def _begin(self, state: codec.RobotState, measured: WorkPose, tilt_deg: float) -> bool:
@@ -237,6 +239,14 @@ class EgmArm:
             self._fail("unwatched", str(error))
         except LimitError as error:
             self._fail("limits", str(error))
+
+    def _answer_once(self) -> None:
+        """Answer the datagram, unless a hold already has: the controller queues answers and takes one a cycle."""
+        assert self._guide is not None
+        if self._ahead and not self._guide.moving:
+            self._ahead -= 1
+        else:
+            self._answer()
 
     def _answer(self, unguided: Pose | None = None) -> None:
         pose = unguided if self._guide is None else self._righting.pose(self._guide.target)

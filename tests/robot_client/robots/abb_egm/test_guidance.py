@@ -108,6 +108,19 @@ async def test_a_descent_stands_when_its_lease_ends_goes_on_when_it_is_renewed_a
     cell.arm.move(HERE, "retract")
 
 
+async def test_a_hold_answers_the_next_datagram_too_since_the_controller_takes_one_answer_a_cycle():
+    """It queues the others: each hold would delay all later targets, and the stop of the next touch, by a cycle."""
+    cell = Controller()
+    cell.cycles(1)
+    for height_mm in (59.5, 59.0, 58.5):
+        cell.arm.move(HERE.at_height(height_mm), "descend", 9.0)
+        cell.cycles(20)
+        cell.arm.hold("slip", stop=False)
+        cell.cycles(80)
+    assert [type(event) for event in cell.events] == [Standstill] * 3
+    assert len(cell.wire.sent) == cell.number
+
+
 @pytest.mark.parametrize(("lost_n", "lasts_s"), [(1, 9.0), (8, 9.0), (40, 9.0), (55, 9.0), (40, 0.5)])
 async def test_the_time_that_a_descent_loses_to_gaps_is_reported(lost_n, lasts_s):
     """By as much as its target is behind, to a few hundredths of a second; also where its lease ended in the gap."""
