@@ -221,7 +221,8 @@ class Wsg50(Gripper):
         if self._post is None or self.state is before:
             return
         if self.state is GraspingState.ERROR:
-            self._fail("error", f"gripper: fast stop or fault; find the cause, then {_ACKNOWLEDGE}")
+            met = "" if before is GraspingState.HOLDING else ", or contact outside its Part Width Tolerance"
+            self._fail("error", f"gripper: fast stop or fault{met}; find the cause, then {_ACKNOWLEDGE}")
         elif before is GraspingState.HOLDING:
             if self.state in (GraspingState.PART_LOST, GraspingState.NO_PART):
                 self._post(PartLost(at_s=time.monotonic()))

@@ -277,6 +277,7 @@ def test_each_change_of_the_grasping_state_means_what_it_says():
             assert events == []
         elif after is GraspingState.ERROR:
             assert [event.code for event in events] == ["error"]
+            assert ("Part Width Tolerance" in events[0].detail) == (before is not GraspingState.HOLDING)
         elif (before, after) in quiet:
             assert events == []
         elif after in {GraspingState.PART_LOST, GraspingState.NO_PART}:
