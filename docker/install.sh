@@ -30,7 +30,8 @@ done
 "$prefix/venv/bin/python" -m compileall -q "$prefix/app"
 if [ "$units" = yes ]; then
   id tactile >/dev/null 2>&1 || useradd --system --home-dir /var/lib/tactile-insertion --shell /usr/sbin/nologin tactile
-  install -D -m 644 tactile-insertion@.service /etc/systemd/system/tactile-insertion@.service
+  sed "s#/opt/tactile-insertion#$prefix#g" tactile-insertion@.service >"$prefix/tactile-insertion@.service"
+  install -D -m 644 "$prefix/tactile-insertion@.service" /etc/systemd/system/tactile-insertion@.service
   install -d -m 755 /etc/tactile-insertion
   [ -e /etc/tactile-insertion/cell-a.env ] || install -m 640 -g tactile cell.env.example /etc/tactile-insertion/cell-a.env
   systemctl daemon-reload

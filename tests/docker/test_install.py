@@ -9,6 +9,7 @@ import pytest
 
 from tests.docs.commands import ROOT
 
+UNIT = "tactile-insertion@.service"
 NOTE = '#!/bin/sh\necho "$(basename "$0") $* [$(cat "$PREFIX/app/version")]" >>"$CALLS"\n'
 
 
@@ -16,7 +17,8 @@ NOTE = '#!/bin/sh\necho "$(basename "$0") $* [$(cat "$PREFIX/app/version")]" >>"
 def bundle(tmp_path: Path) -> Path:
     """A bundle without wheels, next to an installed version."""
     bundle = tmp_path / "bundle"
-    files = {"app/requirements/run.txt": "", "app/version": "new", "tactile-insertion@.service": "", "wheels/none": ""}
+    files = {"app/requirements/run.txt": "", "app/version": "new", "wheels/none": ""}
+    files |= {UNIT: (ROOT / "docker" / "systemd" / UNIT).read_text()}
     for name, text in files.items():
         (bundle / name).parent.mkdir(parents=True, exist_ok=True)
         (bundle / name).write_text(text)
@@ -44,6 +46,15 @@ def test_an_upgrade_restarts_the_services_that_run_once_the_new_version_lies_the
     calls = [call for call in installed(bundle) if call.startswith("systemctl")]
     assert calls == ["systemctl daemon-reload [new]", "systemctl try-restart tactile-insertion@* [new]"]
     assert (bundle.parent / "prefix" / "app.old" / "version").read_text() == "old"
+
+
+def test_the_unit_runs_what_was_installed_wherever_that_is(bundle: Path) -> None:
+    prefix = bundle.parent / "prefix"
+    calls = installed(bundle)
+    unit = (prefix / UNIT).read_text()
+    assert f"install -D -m 644 {prefix / UNIT} /etc/systemd/system/{UNIT} [new]" in calls
+    assert f"ExecStart={prefix}/venv/bin/python -m service run" in unit
+    assert "/opt/" not in unit
 
 
 def test_what_a_hardened_machine_installs_can_be_read_by_the_user_of_the_service(bundle: Path) -> None:
