@@ -89,7 +89,7 @@ def asked_manifest(options: CollectOptions) -> Manifest:
         held_out_share=options.held_out_share,
         scenes={name: scene.sha256 for name, scene in scenes.items()},
         sensor=sensors.pop(),
-        physics=sources_sha256("simulation.data.probe"),
+        physics=sources_sha256("simulation.data.collect"),
     )
 
 

@@ -14,6 +14,7 @@ import pytest
 
 from simulation.__main__ import main
 from simulation.cli.dataset import CollectOptions, asked_manifest
+from simulation.data import sources
 from simulation.data.collect import POKES_PER_FIXTURE, Hand, Plan, draw_fixture, make_shard, pokes
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
 from simulation.data.drawn_cells import base, mechanics
@@ -210,6 +211,15 @@ def test_shards_of_two_physics_are_not_mixed(tmp_path: Path) -> None:
             writer.extend(asked)
         assert (tmp_path / "manifest.json").read_bytes() == before
         writer.extend(asked.model_copy(update={"physics": "0" * 64}))
+
+
+@pytest.mark.parametrize("file", ["data/collect.py", "data/drawn_cells.py", "scene/drawn.py", "foreign/cell.py"])
+def test_shards_are_of_one_physics_only_if_the_same_code_drew_and_pressed_their_cells(monkeypatch, file) -> None:
+    asked = CollectOptions(objects=("drawn-foreign",), trials_per_object=6, trials_per_shard=3)
+    before, code = asked_manifest(asked).physics, sources._code
+    drawing = (sources.ROOT / "simulation" / file).read_text(encoding="utf-8")
+    monkeypatch.setattr(sources, "_code", lambda text: code(text + "WIDER = 2.0\n" if text == drawing else text))
+    assert asked_manifest(asked).physics != before
 
 
 def test_two_scenes_of_one_name_are_refused_before_anything_is_made(tmp_path: Path) -> None:
