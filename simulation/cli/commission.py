@@ -23,7 +23,7 @@ from simulation.studies.identify import posterior, study
 from simulation.studies.identify.page import identify_page
 from simulation.studies.lateness import lateness
 
-PLAYED_BY = "simulation.studies.identify.cells"
+PLAYED_BY, STORED_BY = "simulation.studies.identify.cells", "simulation.studies.episodes"
 FIRST_COARSE, FIRST_FINE, FIRST_LAYER, FIRST_FRESH = 1000, 5000, 7000, 910_000
 """Numbers of the first cell that the posterior is fitted to, and of the first that it is evaluated on."""
 
@@ -81,7 +81,7 @@ def main(arguments: list[str]) -> int:
         raise ValueError(f"--checkpoint {checkpoint}: no such file; expected the release as `training` saved it")
     more = {"workers": options.workers, "work": options.work, "around": options.around}
     plan = Plan(checkpoint, models, options.probes, options.insertions, **more)
-    made_by = campaign.made_by({"belief": models})
+    made_by = f"{campaign.made_by({'belief': models})}-{sources_sha256(STORED_BY)[:12]}"
     worlds = [load_world(file) for file in files_in(options.worlds)]
     cells = [(_cell(options, world, made_by), plan) for world in worlds]
     good = [world for world in worlds if world.unstated.wired_right]
@@ -140,7 +140,7 @@ class Play:
     """Options for playing drawn cells."""
 
     out: Path = Path("runs/identify")
-    """folder for the insertions; the same command continues after an interruption"""
+    """folder for the insertions; the same command continues after an interruption, with the same code"""
     models: Path = field(default_factory=released_models)
     """networks that decide the probes; their answers are not used"""
     workers: int = 0
@@ -202,8 +202,8 @@ def _identify(options: Identify) -> None:
 
 
 def _cells(options: Play, first: int, count: int, play: pressing.Play, tier: str = "bristle") -> list[pressing.Cell]:
-    numbers = range(first, first + count)
-    return [pressing.Cell(n, options.out / f"{tier}-{n:07d}", options.models, play, tier) for n in numbers]
+    numbers, folder = range(first, first + count), options.out / sources_sha256(PLAYED_BY)[:12]
+    return [pressing.Cell(n, folder / f"{tier}-{n:07d}", options.models, play, tier) for n in numbers]
 
 
 def _fit(options: Fit) -> None:

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("simulation", "service", "robot_client")
+PACKAGES = ("simulation", "service", "robot_client", "training", "export")
 
 
 def sources_sha256(module: str, root: Path = ROOT) -> str:

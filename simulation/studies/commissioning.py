@@ -45,6 +45,7 @@ PROBES, WORK, SCORING = 1, 2, 3
 FEW = 50
 REFUSED, STAYS = 2, 3
 """Exit statuses of `training adapt`: invalid input, such as nothing to learn from, and a release that stays."""
+LEARNT_BY = "training.adapt.adapt", "export.onnx.to_onnx"
 ANSWERS: Mapping[str, set[int]] = {"simulation": {0, REFUSED}, "training": {0, REFUSED, STAYS}, "export": {0, REFUSED}}
 """Exit statuses that are an answer, of each package's command."""
 MISTAKES: Mapping[str, Mapping[str, Any]] = {
@@ -245,9 +246,10 @@ def _adapted(
 ) -> tuple[Row, Path | None]:
     """The verdict of ``training adapt`` on these episodes, and the new networks' folder if accepted.
 
-    It is kept for exactly what it was made from: release, episodes and presses ``around`` the cell.
+    It is kept for exactly what it was made from: release, episodes, presses ``around`` the cell, and the code.
     """
     made_from = [plan.checkpoint.read_bytes(), *((episode / "summary.json").read_bytes() for episode in episodes)]
+    made_from += [sources_sha256(module).encode() for module in LEARNT_BY]
     run = cell.folder / f"{name}-{_digest(*made_from, str(around and around.name).encode())}"
     shown = run.with_name(f"{run.name}-episodes")
     kept, models, began = run / "verdict.json", run / "models", time.monotonic()

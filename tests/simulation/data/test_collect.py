@@ -14,13 +14,13 @@ import pytest
 
 from simulation.__main__ import main
 from simulation.cli.dataset import CollectOptions, asked_manifest
-from simulation.data import sources
 from simulation.data.collect import POKES_PER_FIXTURE, Hand, Plan, draw_fixture, make_shard, pokes
 from simulation.data.dataset import Dataset, DatasetError, DatasetWriter
 from simulation.data.drawn_cells import base, mechanics
 from simulation.data.manifest import read_manifest
 from simulation.scene.scene import SceneError
 from simulation.scene.worlds import load_scene
+from tests.simulation.data.test_sources import as_if_changed
 
 WORDS = ["collect", "--objects", "circle", "--trials-per-shard", "3"]
 COLLECT = [sys.executable, "-m", "simulation", *WORDS]
@@ -216,9 +216,8 @@ def test_shards_of_two_physics_are_not_mixed(tmp_path: Path) -> None:
 @pytest.mark.parametrize("file", ["data/collect.py", "data/drawn_cells.py", "scene/drawn.py", "foreign/cell.py"])
 def test_shards_are_of_one_physics_only_if_the_same_code_drew_and_pressed_their_cells(monkeypatch, file) -> None:
     asked = CollectOptions(objects=("drawn-foreign",), trials_per_object=6, trials_per_shard=3)
-    before, code = asked_manifest(asked).physics, sources._code
-    drawing = (sources.ROOT / "simulation" / file).read_text(encoding="utf-8")
-    monkeypatch.setattr(sources, "_code", lambda text: code(text + "WIDER = 2.0\n" if text == drawing else text))
+    before = asked_manifest(asked).physics
+    as_if_changed(monkeypatch, f"simulation/{file}")
     assert asked_manifest(asked).physics != before
 
 

@@ -1,6 +1,13 @@
 import pytest
 
+from simulation.data import sources
 from simulation.data.sources import sources_sha256
+
+
+def as_if_changed(monkeypatch, file):
+    """Let a file of the project count as one with another line of code."""
+    code, changed = sources._code, (sources.ROOT / file).read_text(encoding="utf-8")
+    monkeypatch.setattr(sources, "_code", lambda text: code(text + "WIDER = 2.0\n" if text == changed else text))
 
 
 @pytest.fixture
@@ -29,9 +36,7 @@ def test_a_result_is_known_by_all_that_computed_it_and_by_nothing_else(root, fil
     assert (sources_sha256("simulation.arm", root) != before) == counts
 
 
-def test_an_insertion_is_played_by_the_solver_the_service_and_the_client(monkeypatch):
-    from simulation.data import sources
-
+def test_an_insertion_is_played_by_the_solver_the_service_and_the_client():
     played = {
         str(path.relative_to(sources.ROOT)) for path in sources._closure("simulation.closed_loop.play", sources.ROOT)
     }

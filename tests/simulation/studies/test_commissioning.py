@@ -14,6 +14,7 @@ from simulation.scene.worlds import World, load_objects
 from simulation.studies import commissioning
 from simulation.studies.commissioning import COUNTED, MISTAKES, VERSIONS, Cell, Plan, commission, mistaken
 from simulation.studies.commissioning_page import commissioning_page
+from tests.simulation.data.test_sources import as_if_changed
 
 OBJECTS = ("rectangle", "circle")
 
@@ -145,6 +146,21 @@ def test_a_verdict_is_kept_for_its_episodes_and_its_release_only(tmp_path):
     objection(plan, two)
     assert objection(plan, one) == first
     assert len(list(cell.folder.glob("after_50-*/verdict.json"))) == 3
+
+
+def test_a_verdict_is_made_again_where_the_code_that_adapts_or_exports_has_changed(tmp_path, monkeypatch):
+    asked = list[str]()
+    monkeypatch.setattr(commissioning, "_call", lambda package, *_: asked.append(package) or "refused")
+    (checkpoint := tmp_path / "checkpoint.pt").write_bytes(b"a release")
+    cell, plan = Cell(World("cell"), load_objects(OBJECTS), tmp_path, 3), Plan(checkpoint, tmp_path, 0, 1, workers=1)
+    learnt_from = episodes(tmp_path / "probes", 1)
+    for file in ("", "training/adapt/objections.py", "training/fit/train.py", "export/onnx/to_onnx.py"):
+        with monkeypatch.context() as patch:
+            if file:
+                as_if_changed(patch, file)
+            for _ in range(2):
+                commissioning._adapted(cell, plan, "after_50", learnt_from, None)
+    assert asked == ["training"] * 4
 
 
 def test_presses_around_a_cell_are_kept_for_their_number_and_objects_only(tmp_path):

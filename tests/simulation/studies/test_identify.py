@@ -11,6 +11,7 @@ from simulation.__main__ import main
 from simulation.scene.worlds import load_world
 from simulation.studies.identify import posterior, recorded, study
 from simulation.studies.identify.cells import Cell, pressed, second_grip_n
+from tests.simulation.data.test_sources import as_if_changed
 
 CELL = 5
 
@@ -102,6 +103,21 @@ def test_presses_that_do_not_tell_are_refused_by_name(played):
             recorded.sorted_out(probes.signs, presses)
     with pytest.raises(ContractError, match="no probe for signs"):
         recorded.read(folder / "00")
+
+
+def test_cells_press_again_where_the_code_that_played_them_has_changed(tmp_path, monkeypatch):
+    folders, numbers = [], []
+    monkeypatch.setattr(study, "pressed", lambda cell: folders.append(cell.folder) or {"number": cell.number})
+    monkeypatch.setattr(study, "scored", lambda row, _: numbers.append(row["number"]) or {"refused": "", "tier": ""})
+    words = ["scene", "judge", "--out", str(tmp_path), "--cells", "2", "--workers", "1"]
+    for file in ("", "simulation/physics/quasistatic.py", "simulation/studies/episodes.py"):
+        with monkeypatch.context() as patch:
+            patch.setattr("simulation.cli.commission.identify_page", lambda _: "")
+            if file:
+                as_if_changed(patch, file)
+            assert main(words) == main(words) == 0
+    assert len(set(folders)) == 3 * 2
+    assert len(numbers) == len(folders) == 2 * len(set(folders))
 
 
 @pytest.mark.parametrize("grip_n", [10.0, 19.9, 20.0, 40.0])
