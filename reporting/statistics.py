@@ -35,7 +35,7 @@ def number(value: float | None, spec: str = "") -> str:
     return f"{text[:-1]} %" if spec.endswith("%") else text
 
 
-def wilson(hits: float, count: int) -> Estimate:
+def wilson(hits: float, count: float) -> Estimate:
     """A share and its score interval (Wilson 1927), which lies in 0..1; (nan, 0, 1) for no data."""
     if count == 0:
         return Estimate(math.nan, 0.0, 1.0)
@@ -44,6 +44,22 @@ def wilson(hits: float, count: int) -> Estimate:
     half = Z95 / (1 + spread) * math.sqrt(share * (1 - share) / count + spread / (4 * count))
     # Rounding may put an end at 0 or 1 beyond the share.
     return Estimate(share, max(0.0, min(share, middle - half)), min(1.0, max(share, middle + half)))
+
+
+def clustered(hits: Sequence[float], counts: Sequence[int]) -> Estimate:
+    """A share of trials that come in groups, such as those of one cell, which may end alike: one entry for each group.
+
+    Wilson's interval for as many independent trials as would scatter as the groups do (Kish 1965), never for more than
+    there are.
+    """
+    of, trials = np.asarray(hits, float), np.asarray(counts, float)
+    total, count, groups_n = float(of.sum()), float(trials.sum()), len(trials)
+    alone = total * (count - total) / count if count else 0.0  # variance of the hits if no trial knew of another
+    if groups_n < 2 or alone <= 0.0:
+        return wilson(total, count)
+    scatter = groups_n / (groups_n - 1) * float(np.square(of - trials * total / count).sum())
+    alike = max(1.0, scatter / alone)
+    return wilson(total / alike, count / alike)
 
 
 def mean(values: Sequence[float]) -> Estimate:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from reporting.page import missed_first, page
-from reporting.statistics import Estimate, number, wilson
+from reporting.statistics import Estimate, clustered, number, wilson
 from reporting.table import Table, table
 from simulation.closed_loop.statistics import Row
 from simulation.studies.commissioning import MISTAKES, VERSIONS
@@ -34,8 +34,8 @@ _MEASURED = """
 ## How it was measured
 
 Every cell is drawn from the ranges of [worlds](worlds.md), and the software is given none of its properties.
-Marker positions are the true ones plus the tracker's error. Intervals are 95 % Wilson ones. A failure counts as
-16 trials.
+Marker positions are the true ones plus the tracker's error. Intervals are 95 % Wilson ones; those over several
+worlds are as wide as the worlds differ. A failure counts as 16 trials.
 
 ## Four probes name a wiring mistake
 
@@ -171,10 +171,10 @@ def _together(learnt: Sequence[Row], version: str) -> Row:
         return float(np.average([row[name] for row in rows], weights=weights))
 
     def share(name: str, of: Sequence[int]) -> Estimate:
-        return wilson(sum(row[name] for row in rows), sum(of))
+        return clustered([row[name] for row in rows], of)
 
     def held(name: str) -> Estimate:
-        return wilson(sum(round(row[name] * count) for row, count in zip(rows, decided, strict=True)), sum(decided))
+        return clustered([round(row[name] * count) for row, count in zip(rows, decided, strict=True)], decided)
 
     return {
         "as": version,

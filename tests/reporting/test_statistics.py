@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from reporting.statistics import Estimate, bootstrap, mean, number, percentiles, wilson
+from reporting.statistics import Estimate, bootstrap, clustered, mean, number, percentiles, wilson
 
 COUNTS = st.integers(1, 10_000).flatmap(lambda count: st.tuples(st.integers(0, count), st.just(count)))
 
@@ -24,6 +24,26 @@ def test_wilson_is_scipys(counts):
 def test_wilson_holds_its_share_and_stays_within_one(counts):
     share, low, high = wilson(*counts)
     assert 0.0 <= low <= share <= high <= 1.0
+
+
+def test_groups_that_end_alike_count_as_fewer_trials_and_never_as_more():
+    twelve = [32] * 12
+    one_fails = clustered([0, *[32] * 11], twelve)
+    assert one_fails.value == pytest.approx(11 / 12)
+    assert one_fails.low < wilson(11, 12).low + 0.02, "a cell in which nothing goes in is one observation"
+    assert clustered([29, 30, 28, 29], [32] * 4) == wilson(116, 128)
+    for hits, counts in (([20], [32]), ([0, 0], [32, 30]), ([32, 30], [32, 30]), ([], []), ([0], [0])):
+        assert str(clustered(hits, counts)) == str(wilson(sum(hits), sum(counts)))
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.1, 0.9), st.floats(0.2, 20.0), st.integers(0, 2**20))
+def test_a_grouped_interval_holds_the_share_of_fresh_groups(share, alike, seed):
+    """Groups drawn around a share, from nearly all alike to nearly independent."""
+    rng = np.random.default_rng(seed)
+    of_each = rng.beta(alike * share, alike * (1 - share), (400, 40))
+    made = [clustered(hits, [25] * 40) for hits in rng.binomial(25, of_each)]
+    assert np.mean([one.low <= share <= one.high for one in made]) > 0.88
 
 
 def test_nothing_has_the_widest_interval_and_is_written_as_a_dash():

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from reporting.page import page
-from reporting.statistics import Estimate, wilson
+from reporting.statistics import Estimate, clustered, wilson
 from reporting.table import Table, table
 from simulation.closed_loop.statistics import Row
 from simulation.studies.identify.posterior import PARAMETERS, WIDEST
@@ -95,8 +95,9 @@ def _conclusion(own: Sequence[Row], other: Sequence[Row]) -> str:
 
 
 def _together(cells: Sequence[Row]) -> Estimate:
-    holds = [gel["holds"] for row in cells for gel in row["gel"].values()]
-    return wilson(sum(holds), len(holds))
+    """Of a cell, all parameters may be wrong at once."""
+    gels = [row["gel"].values() for row in cells]
+    return clustered([sum(gel["holds"] for gel in one) for one in gels], [len(one) for one in gels])
 
 
 def _refused(rows: Sequence[Row]) -> str:
