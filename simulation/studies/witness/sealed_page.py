@@ -5,10 +5,10 @@ from collections import Counter
 from typing import Any
 
 from reporting.page import missed_first, page
-from reporting.statistics import number, wilson
+from reporting.statistics import Estimate, clustered, number, wilson
 from reporting.table import Table, table
 from simulation.studies.drawn_worlds import COLUMNS
-from simulation.studies.witness.sealed import ALIKE, WITNESS
+from simulation.studies.witness.sealed import ALIKE, EACH, FAMILIES, WITNESS
 
 Row = dict[str, Any]
 NUMBER = r"-?\d+\.\d+"
@@ -20,7 +20,7 @@ def foreign_world_page(data: Row) -> str:
     failed = data["failed"]
     return page(
         "# The sealed test in another physics, simulated",
-        _against_targets(whole),
+        _against_targets(whole, _inserted(data, whole)),
         f"""
         ## How it was measured
 
@@ -34,10 +34,11 @@ def foreign_world_page(data: Row) -> str:
         - **Everything else**, objects included, is drawn from the ranges of [worlds](worlds.md). Poisson's ratio is
           that of rubber, 0.45 to 0.495. No gel relaxes and no finger bends.
         - **Scoring.** Marker positions are the true ones plus the tracker's error. The shear reach was not given to the
-          networks. A failure counts as 16 trials.
+          networks. A failure counts as 16 trials. The interval of what the release inserted in the elements is as wide
+          as the worlds differ: each has up to {EACH} insertions.
         {_baselines(data)}
         """,
-        table(data["figures"], *_FIGURES),
+        table([{**row, "share": _inserted(data, row)} for row in data["figures"]], *_FIGURES),
         *(_failures(failed, data.get("pictures")) if failed else ()),
         data.get("note", ""),
         *(_tests_before(data["before"]) if data.get("before") else ()),
@@ -115,16 +116,30 @@ _FIGURES: tuple[Any, ...] = (
     ("cell", lambda row: _TITLES.get(row["cell"], row["cell"])),
     ("family", "family"),
     ("false claims", lambda row: f"{row['claimed_wrongly']} of {row['insertions']}"),
-    ("inserted", lambda row: wilson(row["inserted"], row["insertions"]), ".1%"),
+    ("inserted", "share", ".1%"),
     *COLUMNS,
     ("void", "void", "d"),
 )
 
 
-def _against_targets(whole: Row) -> str:
+def _inserted(data: Row, row: Row) -> Estimate:
+    """The share of a row that was inserted. Insertions in one world may fail alike; only WITNESS plays many of them."""
+    if row["cell"] != WITNESS:
+        return wilson(row["inserted"], row["insertions"])
+    failed, count = Counter(one["world"] for one in data["failed"]), data["count"]
+    of_each = {
+        f"{family} {first // EACH}": min(EACH, count - first)
+        for family in FAMILIES
+        for first in range(0, count, EACH)
+        if row["family"] in ("all", family)
+    }
+    return clustered([played - failed[world] for world, played in of_each.items()], [*of_each.values()])
+
+
+def _against_targets(whole: Row, inserted: Estimate) -> str:
     """The figures beside their targets, what is missed first."""
     count = whole["insertions"]
-    inserted, wrong = wilson(whole["inserted"], count), wilson(whole["claimed_wrongly"], count)
+    wrong = wilson(whole["claimed_wrongly"], count)
     covered = min(share if share is not None else 0.0 for share in (whole["covered_x"], whole["covered_theta"]))
     wrongly, done = whole["claimed_wrongly"], whole["inserted"]
     least, held = number(LEAST_INSERTED, ".0%"), number(covered, ".0%")

@@ -8,6 +8,7 @@ from simulation.studies.witness import sealed
 from simulation.studies.witness.sealed_page import foreign_world_page
 
 OBJECTS = ["can", "white_box", "vitamin", "mustard"]
+SEALED = {"seal": "seal", "counter": 1, "count": 12}
 
 
 @pytest.fixture
@@ -66,6 +67,19 @@ def test_the_page_begins_with_what_is_missed_and_lists_every_failure(release):
     assert "claimed, but it is tilted by x deg, below 2 counts" in text
     assert "service: contradictory" in text
     assert "| finite elements, the paper's recipe | all |" in text
+
+
+def test_failures_in_one_world_count_as_one_and_those_of_many_worlds_as_many(release):
+    def inserted(failed):
+        begun = sealed.opened("seal", OBJECTS, 12)
+        rows = [row_of(task.job) for task in sealed.tasks("seal", release, begun, sealed.WITNESS)]
+        for index in failed:
+            rows[index] |= {"inserted": False, "claimed": False}
+        text = foreign_world_page(sealed.report_of({sealed.WITNESS: rows}, begun, SEALED))
+        return next(line for line in text.splitlines() if line.startswith("| finite elements | all |"))
+
+    assert "| 86.1 % (71.3 .. 93.9) |" in inserted([0, 5, 10, 15, 20])
+    assert "| 86.1 % (47.7 .. 97.7) |" in inserted([0, 1, 2, 3, 4])
 
 
 def row_of(job):
