@@ -4,6 +4,7 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -113,7 +114,8 @@ def _cell(options: Options, world: World, made_by: str) -> Cell:
         raise SceneError(f"world {world.name}: no object can be played there: {refused[0]}")
     for line in refused:
         print(f"left out: {line}", file=sys.stderr)
-    return Cell(world, objects, folder, options.seed, "" if options.cell == "own" else options.cell)
+    seed = int(sha256(f"{options.seed} {world.name}".encode()).hexdigest()[:8], 16)  # or all worlds share their starts
+    return Cell(world, objects, folder, seed, "" if options.cell == "own" else options.cell)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from service.contract import ContractError
+from simulation.cli.commission import Options, _cell
 from simulation.closed_loop.statistics import Row
 from simulation.scene.worlds import World, load_objects
 from simulation.studies import commissioning
@@ -50,6 +51,18 @@ def test_probes_are_drawn_within_what_the_object_may_be_off_and_none_where_it_fi
         assert abs(job["x_mm"]) > 2.5 or abs(job["theta_deg"]) > 3.0
     assert len({job["seed"] for job in [*cell.probes(60), *cell.jobs(60, 3), *next(cell.signs())]}) == 124
     assert len(MISTAKES) == 6
+
+
+def test_each_world_begins_from_starts_of_its_own_so_that_those_of_all_worlds_can_be_counted_together(tmp_path):
+    options = Options((), OBJECTS, tmp_path / "rows.json")
+    cells = [_cell(options, World(name), "code") for name in ("one", "other", "one")]
+    starts = [
+        {(job["x_mm"], job["theta_deg"]) for job in (*cell.jobs(8, 3), *cell.probes(8))}
+        | {job["seed"] for job in (*cell.jobs(8, 3), *next(cell.signs()))}
+        for cell in cells
+    ]
+    assert starts[0] == starts[2]
+    assert starts[0].isdisjoint(starts[1])
 
 
 @pytest.mark.parametrize(
