@@ -186,7 +186,7 @@ def renew(state: State, captured_ns: int, at_s: float) -> Result:
     if at_s >= state.until_s + state.plan.pause_s:
         return unwatched(state, at_s)
     newer, stood_s = watched(state, captured_ns, at_s), max(0.0, at_s - state.until_s)
-    if newer is state:
+    if newer is state or at_s >= newer.until_s:  # judged too late to go on: the same pause continues
         return state, ()
     if not stood_s:
         return newer, (Renew(until_s=newer.until_s),)

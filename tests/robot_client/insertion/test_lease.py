@@ -90,6 +90,25 @@ def test_a_frame_that_is_judged_within_the_pause_renews_the_lease():
     assert isinstance(renewed, Renew), "without a pause there is nothing to say"
 
 
+def test_frames_that_come_all_at_once_after_a_stall_count_the_pause_once():
+    """Each is newer than the one before, but only the last lets the arm go on: it stood for 0.2 s, not for 0.7 s."""
+    state, _ = descending(PAUSE_S)
+    now_s, stood = LASTS_S + 0.2, state
+    for captured_s in (0.033, 0.066, 0.1, 0.133, 0.166, 0.2):
+        state, commands = step(state, service(watching(1, captured_s), now_s))
+        assert (state, commands) == (stood, ())
+    _, (renewed, paused) = step(state, service(watching(1, now_s - 0.01), now_s))
+    assert renewed.until_s > now_s
+    assert paused.message.paused_s == pytest.approx(0.2)
+
+
+def test_frames_that_are_always_judged_too_late_do_not_keep_a_descent_waiting():
+    state, _ = descending(PAUSE_S)
+    for late_s in (0.05, 0.1, 0.15, 0.2):
+        state, _ = step(state, service(watching(1, late_s - 0.01), LASTS_S + late_s))
+    assert "unwatched" in held(*step(state, Tick(at_s=LASTS_S + PAUSE_S + 0.001)))
+
+
 def test_an_arm_that_stood_for_longer_than_can_be_stated_goes_no_further():
     state, _ = descending(PAUSE_S)
     reason = held(*step(state, Stood(at_s=0.05, stood_s=MOST_STOOD_S + 0.01)))
