@@ -60,7 +60,7 @@ class Pace(Contract):
         )
         legs, height_mm = list[Leg](), start_mm
         for until_mm, speed_mm_s in ways:
-            lower_mm = end_mm if until_mm < end_mm + LEAST_LEG_MM else until_mm
+            lower_mm = until_mm if end_mm < until_mm - LEAST_LEG_MM else end_mm  # by the same sum: the end is a leg's
             if lower_mm < height_mm - LEAST_LEG_MM:
                 legs.append((lower_mm, speed_mm_s))
                 height_mm = lower_mm

@@ -213,6 +213,15 @@ def test_no_leg_is_so_short_that_it_might_lead_up_from_where_the_arm_settled(off
     MotionGuide(FAST.limits, FAST.ramps, start).move(start.at_height(APPROACH.z_mm - 25.0), "descend", 1.0, legs)
 
 
+@pytest.mark.parametrize("last_mm", [0.05, 0.1, 0.15])
+def test_a_descent_that_ends_just_below_the_slow_leg_ends_there(last_mm):
+    """At 9.1 mm, of 5 mm of air and 4 mm of probing, the last leg ended 0.1 mm too high, and every descent failed."""
+    pace, bottom_mm = Pace(fast_mm_s=10.0), APPROACH.z_mm - (9.0 + last_mm)
+    legs = pace.legs(APPROACH.z_mm, bottom_mm, 4.0, Tops(TOPS_MM, TOPS_MM))
+    assert legs[-1][0] == bottom_mm
+    MotionGuide(FAST.limits, FAST.ramps, APPROACH).move(APPROACH.at_height(bottom_mm), "descend", 1.0, legs)
+
+
 def test_after_a_regrasp_the_arm_is_slow_where_the_tops_were_met():
     met = Tops(TOPS_MM, TOPS_MM + 3.0)
     state = State(FAST.model_copy(update={"fixture": True}), attempt=2, armed=APPROACH, met=met)
