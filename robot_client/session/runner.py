@@ -235,6 +235,13 @@ class Runner:
                 await asyncio.wait_for(port.close(), CLOSING_S)
         self.recorder.end(self.summary())
 
+    def link(self) -> dict[str, Any]:
+        """The arm's figures; a driver that breaks on them hides neither the log's end nor how the arm was left."""
+        try:
+            return self.arm.statistics()
+        except Exception as error:
+            return {"broken": f"{type(error).__name__} {error}"}
+
     def summary(self) -> dict[str, Any]:
         return {
             "phase": str(self.state.phase),
@@ -242,6 +249,6 @@ class Runner:
             "attempts": self.state.attempt,
             "reason": self.state.reason,
             "controller": self.farewell,
-            "link": self.arm.statistics(),
+            "link": self.link(),
             **{key: value for observer in self.observers for key, value in observer.summary().items()},
         }

@@ -107,7 +107,7 @@ UNCONFIRMED = f"{NOT_CONFIRMED} by the controller: use the stop button"
 
 @pytest.mark.parametrize("farewell", [UNCONFIRMED, ""])
 @pytest.mark.parametrize("error", [None, DriverError("gripper: not homed"), OSError("no route"), ZeroDivisionError()])
-@pytest.mark.parametrize("ends", ["start", "position"])
+@pytest.mark.parametrize("ends", ["start", "position", "statistics"])
 async def test_an_arm_whose_stop_nobody_confirms_is_never_passed_over(ends, error, farewell):
     """Whatever else ended the insertion, an interrupt or a driver that breaks, and also where its farewell does."""
 
@@ -123,6 +123,8 @@ async def test_an_arm_whose_stop_nobody_confirms_is_never_passed_over(ends, erro
         run.gripper.start = not_ready
     elif error:
         run.arm.position = breaks
+    if ends == "statistics":
+        run.arm.statistics = lambda: 1 // 0
     task = asyncio.ensure_future(run.run())
     await asyncio.sleep(0.05)
     if not error:
