@@ -180,6 +180,7 @@ class Probing:
             show(f"  robot: {runner.farewell}")
         if log.lost:
             show(f"  log {log.path} BROKEN OFF: {log.lost}")
+        runner.check_stopped()  # before anything else moves, the fingers included
         self._rate_hz = min(felt.rates_hz, default=self._rate_hz)
         done = probe_of(plan.insertion_id, plan.approach, felt.answer)
         if watch.stop:

@@ -6,17 +6,23 @@ import pty
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from robot_client.cli.commission import Probing
 from robot_client.cli.cycle import _cycle, _take_orders
-from robot_client.cli.insert import make_plan
+from robot_client.cli.insert import _insert, make_plan
 from robot_client.cli.main import main
 from robot_client.cli.terminal import printed
 from robot_client.grippers.dry_run.driver import DryGripper
+from robot_client.insertion.state import Phase, State
+from robot_client.ports import DriverError
+from robot_client.session.afresh import Fixture
 from robot_client.session.cycle import CycleSettings, Pace
 from robot_client.session.recorder import Recorder
+from robot_client.session.runner import Runner
 from robot_client.settings import load_settings
 from service.contract import wire
 from tests.robot_client.cycle_cell import PICK, cell_with, run, turned
@@ -166,6 +172,36 @@ def test_nothing_is_let_go_of_while_nobody_confirms_that_the_arm_has_stopped(mon
     outcome, left, held = run(story)
     assert "STOP NOT CONFIRMED" in outcome.result["reason"]
     assert (outcome.done, outcome.result["inserted"], left, held) == (False, 0, [], True)
+
+
+@pytest.mark.parametrize("command", ["insert", "commission"])
+def test_no_object_is_put_back_while_nobody_confirms_that_the_arm_has_stopped(command, tmp_path, monkeypatch):
+    """After a turn in the hand, or a probe, the arm would go to the fixture, where the fingers open."""
+    put_back = []
+
+    async def ends(runner):
+        plan, runner.farewell = runner.plan, "STOP NOT CONFIRMED by the controller"
+        if plan.only_probes:
+            return replace(State(plan), phase=Phase.PROBED)
+        turned = "service: refused: turned_in_hand: by 1.4 deg"
+        return replace(State(plan), phase=Phase.FAILED, attempt=2, armed=plan.approach, reason=turned)
+
+    async def note(*way):
+        put_back.append(way)
+
+    monkeypatch.setattr(Runner, "run", ends)
+    monkeypatch.setattr(Fixture, "put_back", note)
+    taught = CycleSettings(pick=PICK, open_mm=80.0)
+    settings = load_settings(None, {"robot": {"device": "dry_run"}, "gripper": {"device": "dry_run"}})
+    settings = settings.model_copy(update={"cycle": taught})
+    plan = make_plan(settings, 0.0, 0.0, None, None)
+    steps = {
+        "insert": lambda: _insert(settings, plan, live=True, log=None),
+        "commission": lambda: Probing(settings, taught, tmp_path).probe(8.0, 8.0),
+    }
+    with pytest.raises(DriverError, match="STOP NOT CONFIRMED"):
+        asyncio.run(steps[command]())
+    assert put_back == []
 
 
 def test_a_part_is_not_put_back_into_a_fixture_that_fills_up_again():

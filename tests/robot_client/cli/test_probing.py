@@ -203,6 +203,9 @@ def test_a_probe_tells_how_far_below_the_taught_tops_it_touched(tmp_path, monkey
             self.log.end({})
             return state
 
+        def check_stopped(self):
+            pass
+
     monkeypatch.setattr("robot_client.cli.commission.Runner", Played)
     monkeypatch.setattr("robot_client.cli.commission.live_ports", lambda *_: (None,) * 3)
     plan = PLAN.model_copy(update={"purpose": "probe"})
