@@ -196,10 +196,10 @@ class Probing:
             raise DriverError("gripper: holds something; put the object into the fixture and open the fingers")
         await with_gripper(lambda gripper: gripper.release(self._taught.open_mm))
 
-    async def leave(self) -> None:
-        """Release the gripper's connection if presses have kept it."""
+    async def leave(self, *, ends: bool = False) -> None:
+        """Release the gripper's connection if presses have kept it. ``ends``: nothing else begins anyway."""
         kept, self._kept = self._kept, KeptGripper(self._settings.make_gripper())
-        await to_the_end(kept.leave())
+        await to_the_end(kept.leave(), interrupted=ends)
 
     async def fetch(self) -> None:
         """Put the object back into the fixture, if held, and open; the next probe regrasps it."""
@@ -230,7 +230,7 @@ async def _commission(
         record, why = running.record, reason(error)
         show(f"HOLD  {why}")
     finally:
-        await probing.leave()
+        await probing.leave(ends=True)
     for cause in record.named:
         show(f"MISTAKE  {cause}")
     if record.late_s is not None:

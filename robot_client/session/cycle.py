@@ -119,7 +119,7 @@ class Cycle:
             raise CycleHeldError("operator: interrupted between two steps, nothing moves") from None
         finally:
             if self.plc:
-                await to_the_end(self._end(self.plc, fault=fault))
+                await to_the_end(self._end(self.plc, fault=fault), interrupted=fault)
         return self.count
 
     async def _end(self, plc: Handshake, *, fault: bool) -> None:

@@ -15,6 +15,7 @@ from robot_client.insertion.state import Phase, State
 from robot_client.ports import DriverError
 from robot_client.robots.dry_run.driver import DryArm
 from robot_client.robots.dry_run.driver import Settings as DryRun
+from robot_client.session.commission.kept_gripper import KeptGripper
 from robot_client.session.commission.record import RECORD, Record, keep_record
 from robot_client.session.commission.run import Ended
 from robot_client.session.commission.wiring import probe_of
@@ -112,6 +113,29 @@ def test_only_a_record_that_exists_is_named(tmp_path, monkeypatch, begun_before)
     assert not ended.done
     assert ended.result["record"] == (str(path) if begun_before else None)
     assert lines[-1] == f"record: {path if begun_before else 'none, no probe was completed'}"
+
+
+async def test_an_interrupt_while_the_gripper_is_left_does_not_hide_why_the_cell_holds(tmp_path, monkeypatch):
+    """Nor say that nothing moves."""
+    leaves, left = asyncio.Event(), asyncio.Event()
+
+    async def refuses(_probing):
+        raise DriverError("robot: STOP NOT CONFIRMED by the controller")
+
+    async def leave(_gripper):
+        leaves.set()
+        await left.wait()
+
+    monkeypatch.setattr(Probing, "begin", refuses)
+    monkeypatch.setattr(KeptGripper, "leave", leave)
+    record = Record(begun="2026-01-01T00:00:00", seed=0)
+    task = asyncio.ensure_future(_commission(Probing(REAL, REAL.cycle, tmp_path), 4, tmp_path / RECORD, record, [None]))
+    await asyncio.wait_for(leaves.wait(), 5.0)
+    task.cancel()
+    await asyncio.sleep(0)
+    left.set()
+    ended = await task
+    assert (ended.done, ended.result["reason"]) == (False, "robot: STOP NOT CONFIRMED by the controller")
 
 
 @pytest.mark.parametrize(("late_s", "counts_s"), [(None, 0.04), (0.18, 0.18)])

@@ -80,6 +80,32 @@ async def test_a_controller_that_answers_no_more_does_not_hide_why_the_cycle_end
     assert lines[-1].startswith("the PLC may not know of the fault: POST")
 
 
+async def test_an_interrupt_while_the_plc_is_told_of_a_fault_does_not_hide_why_the_cycle_ended():
+    """With its controller gone the client waits there for seconds: it must not say in the end that nothing moves."""
+    signals, answers, waits = LostController(lambda: None), asyncio.Event(), asyncio.Event()
+
+    async def is_empty(_work):
+        return True
+
+    async def insert(_number):
+        signals.write_signal = wait
+        raise DriverError("robot: STOP NOT CONFIRMED by the controller (no answer): use the stop button")
+
+    async def wait(_name, *, on):
+        waits.set()
+        await answers.wait()
+
+    errands = SimpleNamespace(go=lambda _way: asyncio.sleep(0), with_gripper=is_empty, clear_mm=35.0)
+    cycle = Cycle(TAUGHT, errands, insert, lambda _text: None, plc=Handshake(HandshakeSettings(), signals))
+    task = asyncio.ensure_future(cycle.run(None))
+    await asyncio.wait_for(waits.wait(), 5.0)
+    task.cancel()
+    await asyncio.sleep(0)
+    answers.set()
+    with pytest.raises(DriverError, match="STOP NOT CONFIRMED"):
+        await task
+
+
 class Levels:
     """The signals as the controller keeps them, and a PLC that acts ``in_part``."""
 
