@@ -220,7 +220,8 @@ def main(argv: list[str] | None = None) -> int:
             try:
                 outcome = _run(args)
             finally:
-                printed()
+                with contextlib.suppress(KeyboardInterrupt):  # the work is over: how it ended is not "nothing moves"
+                    printed()
         code = 0 if outcome.done else 1
     except (ValueError, OSError) as error:  # OSError: of a device's driver
         text = first_error(error) if isinstance(error, ValidationError) else reason(error)

@@ -61,7 +61,16 @@ def test_a_jog_says_where_it_will_go_before_it_connects(monkeypatch, capsys):
     assert "at up to 80 mm/s and with no watch for touch" in printed
 
 
-def test_an_arm_that_may_still_move_has_not_failed_safe(monkeypatch, capsys):
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_an_arm_that_may_still_move_has_not_failed_safe(monkeypatch, capsys, interrupted):
+    """Nor does nothing move, if somebody presses Ctrl-C because the terminal takes no more lines, as after Ctrl-S."""
+
+    def press():
+        raise KeyboardInterrupt
+
+    if interrupted:
+        monkeypatch.setattr(command_line, "printed", press)
+
     def unstopped(*_arguments, **_options):
         raise DriverError(f"robot: {NOT_CONFIRMED} by the controller: use the stop button")
 
