@@ -164,8 +164,9 @@ class Scene(Part):
 
     def fits(self, x_mm: float, theta_deg: float) -> bool:
         """Whether a vertical descent from this error inserts without touching (paper_facts' criterion)."""
-        foot = self.object.footprint_mm if x_mm >= 0.0 else -self.object.footprint_mm
-        return abs(x_mm) + shapes.half_width_mm(foot, theta_deg) <= 0.5 * self.blocks.gap_mm
+        foot = self.object.footprint_mm
+        right_mm, left_mm = (shapes.half_width_mm(side, theta_deg) for side in (foot, -foot))
+        return max(right_mm + x_mm, left_mm - x_mm) <= 0.5 * self.blocks.gap_mm
 
     def varied(self, changes: Mapping[str, Any]) -> "Scene":
         """A copy with dotted keys replaced, e.g. {"gel.friction": 0.5}. Raises SceneError."""

@@ -14,6 +14,7 @@ from simulation.scene.worlds import load_scene
 
 PENTAGON = ((30.0, -22.0), (30.0, 15.0), (0.0, 38.0), (-30.0, 15.0), (-30.0, -22.0))
 SKEWED = ((24.0, -25.0), (28.0, 20.0), (5.0, 33.0), (-26.0, 24.0), (-28.0, -20.0))
+TAPERED = ((27.0, -25.0), (14.0, 25.0), (-14.0, 25.0), (-27.0, -25.0))
 STILL = {"grasp.pre_tilt_spread_deg": 0.0, "grasp.pre_yaw_spread_deg": 0.0}
 
 
@@ -40,6 +41,18 @@ def test_a_pentagon_is_held_at_its_roof_and_its_flat_and_stops_on_the_block() ->
     roof, flat = probe.gel[0, 0, ..., 2], probe.gel[0, 1, ..., 2]
     assert {(roof > 0).mean() < 0.7, (flat > 0).mean() < 0.7} == {True, False}
     assert run_probe(scene, 0.0, 0.0, seed=3).outcome == "inserted"
+
+
+def test_a_turned_polygon_enters_where_both_of_its_sides_do() -> None:
+    """Turned by 8 deg the taper reaches 30.2 mm to one side and 23.3 mm to the other; 29 mm are free."""
+    scene = polygon("rectangle", TAPERED, **{"blocks.gap_mm": 58.0})
+    cell = QuasiStaticCell(scene)
+    for x_mm, enters in ((-4.0, False), (0.5, False), (3.0, True), (7.0, False)):
+        for side in (1.0, -1.0):
+            cell.regrasp(side * x_mm, side * -8.0)
+            x, y, z, yaw = cell.pose
+            assert cell.move_to(x, y, z - 5.6, math.degrees(yaw)).in_contact != enters
+            assert scene.fits(side * x_mm, side * -8.0) == enters
 
 
 def test_a_mirrored_polygon_at_the_mirrored_error_feels_the_mirrored_force() -> None:
