@@ -27,15 +27,11 @@ class Coasting:
         self.velocity = np.zeros(3)
         self._from, self._dt_s = np.zeros(3), 0.0
 
-    def ride(self, travel: Array) -> None:
-        """Nothing touches: the object moves with the hand along travel [3], mm."""
+    def ride(self, travel: Array, speed_mm_s: float) -> None:
+        """Nothing touches: the object moves with the hand along travel [3], mm, at the hand's speed."""
         length = float(np.linalg.norm(travel))
         if length > 0.0:
-            self.velocity = travel * (self.speed_mm_s / length)
-
-    def duration_s(self, travel: Array) -> float:
-        """Time of a load step (dx, dy, dz mm, yaw rad) at the arm's speed."""
-        return duration_s(travel, self.speed_mm_s)
+            self.velocity = travel * (speed_mm_s / length)
 
     def ticks(self, duration_s: float) -> list[float]:
         """Equal time steps of a wait, each as long as a load step takes at speed."""

@@ -45,7 +45,7 @@ class QuasiStaticCell:
         self.nodes = nodes_of(scene, pad)
         self.layer = layer_pads.pads_of(scene, self.active, pad, self.nodes, self.constants)
         self._creeps = self.layer is not None and self.layer.relaxes
-        self.pace_mm_s = scene.speed_mm_s  # speed of the hand, where time matters to the gel
+        self.pace_mm_s = scene.speed_mm_s  # speed of the hand, where time matters
         self.coasting = coasting_of(scene) if self.active.inertia else None
         vertices = len(self.foot)
         self.base_slot = records.slot_count(vertices)
@@ -115,7 +115,7 @@ class QuasiStaticCell:
                     self.coasting.velocity[:] = 0.0  # relative to the hand, which has carried it here
                 self._advance(self.pose, duration_s(self.pose - start, self.pace_mm_s))
             if self.coasting is not None:
-                self.coasting.ride(target[:3] - start[:3])
+                self.coasting.ride(target[:3] - start[:3], self.pace_mm_s)
         rest = target - self.pose
         length = max(float(np.max(np.abs(rest[:3]))), 40.0 * abs(float(rest[3])))
         if reach < 1.0 and length > 0.0:
@@ -184,7 +184,7 @@ class QuasiStaticCell:
         """One undivided load step; blend as in `load_step.advance`."""
         if self.coasting is None:
             return self._step(target, dt_s, blend)
-        dt_s = self.coasting.duration_s(target - self.pose) if dt_s is None else dt_s
+        dt_s = duration_s(target - self.pose, self.pace_mm_s) if dt_s is None else dt_s
         dt_s = 0.0 if blend == load_step.EXACT and dt_s < INSTANT_S else dt_s
         world = self.constants, self.trials, self._centre(), dt_s
         return self.coasting.step(*world, partial(self._step, target, dt_s, blend))

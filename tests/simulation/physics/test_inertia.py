@@ -79,3 +79,20 @@ def test_an_object_that_is_lowered_steadily_in_creeping_gels_weighs_what_it_weig
         -cell.move_to(x_mm, y_mm, z_mm - 0.25 * step, np.degrees(yaw_rad)).wrench_n_nmm[2] for step in range(1, 17)
     ]
     assert forces_n[-8:] == pytest.approx([scene.object.mass_kg * 9.81] * 8, rel=0.01)
+
+
+@pytest.mark.parametrize("pace_mm_s", [10.0, 1.0])
+def test_with_inertia_a_move_takes_as_long_as_the_arm_takes(pace_mm_s: float) -> None:
+    """At these speeds the mass itself does not count: the gel creeps, and bears as much, as without inertia."""
+    forces_n = []
+    for switch in ("off", "on"):
+        creeps = {"gel__relaxation_share": 0.4, "gel__relaxation_s": 0.5, "effects__inertia": switch}
+        cell = QuasiStaticCell(load_scene("rectangle", **creeps, **UPRIGHT))
+        cell.regrasp(8.0, 0.0)
+        cell.pace_mm_s = pace_mm_s
+        x_mm, y_mm, z_mm, yaw_rad = cell.pose
+        cell.move_to(x_mm, y_mm, z_mm - 4.0, np.degrees(yaw_rad))
+        if cell.coasting is not None:
+            assert cell.coasting.velocity == pytest.approx([0.0, 0.0, -pace_mm_s])
+        forces_n.append(cell.move_to(x_mm, y_mm, z_mm - 5.6, np.degrees(yaw_rad)).wrench_n_nmm[2])
+    assert forces_n[1] == pytest.approx(forces_n[0], rel=1e-3)
