@@ -16,6 +16,7 @@ from service.contract import FINGERS, FramePair, TactileFrame
 from service.perception.rectification import CameraCalibration
 from simulation.closed_loop.cameras import Camera, own_cameras
 from simulation.closed_loop.job import Course
+from simulation.physics.inertia import INSTANT_S
 from simulation.physics.inertia import duration_s as time_at
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.effects import dropped_share
@@ -205,11 +206,12 @@ class LockstepCell:
             if self._go(x, y, target, yaw):
                 self.moving = target - bottom > (_ROUNDING_MM if self._law else 0.0)
                 self._walked_s += goes_s
-                rest_s = goes_s * (1.0 - (z - target) / max(way_mm, _ROUNDING_MM)) + pauses_s
-                self.still_s = 0.0 if self.moving else rest_s
+                if not self.moving:  # it stood before the period was over
+                    pauses_s += goes_s * (1.0 - (z - target) / max(way_mm, _ROUNDING_MM))
+                self.still_s = 0.0 if self.moving else pauses_s
         else:
             self.still_s += passed_s
-        if pauses_s > 0.0 and self.physics.relaxes:
+        if pauses_s > INSTANT_S and self.physics.relaxes:
             self._do(lambda: self.physics.wait(pauses_s))
 
     def _way_mm(self, passed_s: float) -> float:

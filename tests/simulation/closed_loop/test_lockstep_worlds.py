@@ -112,6 +112,19 @@ def test_a_heavy_object_settles_while_the_arm_stands() -> None:
         assert abs(places[-1] - places[-2]) < 1e-4
 
 
+def test_a_gel_creeps_from_the_standstill_on_wherever_that_is_between_two_frames() -> None:
+    """The arm stands 38 ms before the sixth frame at 10 a second, as at 100 a second; the way itself is stepped."""
+    forces_n = []
+    for fps in (10.0, 100.0):
+        pressed = cell(theta_deg=0.0, camera__fps=fps, gel__relaxation_share=0.4, gel__relaxation_s=0.1)
+        pressed.descend(pressed.pose[2] - 5.62)
+        for _ in range(round(0.6 * fps)):
+            pressed.next_pair(look=False)
+        assert pressed.still_s == pytest.approx(0.038)
+        forces_n.append(float(pressed.state.wrench_n_nmm[2]))
+    assert forces_n[0] == pytest.approx(forces_n[1], rel=0.02)
+
+
 def test_blocks_above_the_approach_are_run_into_and_not_jumped_into() -> None:
     hit = cell(unstated={"blocks_up_mm": 5.5})
     assert hit.state.in_contact
