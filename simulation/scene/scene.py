@@ -83,9 +83,10 @@ class Scene(Part):
 
     @model_validator(mode="after")
     def _frames_can_exist(self) -> Self:
-        exposure_ms, period_ms = self.camera.exposure_ms, 1000.0 / self.fps
-        if exposure_ms > period_ms:
-            raise ValueError(f"camera.exposure_ms: {exposure_ms:g} is longer than a frame's {period_ms:g}")
+        period_ms = 1000.0 / self.fps
+        for name in ("exposure_ms", "readout_ms"):
+            if (lasts_ms := getattr(self.camera, name)) > period_ms:
+                raise ValueError(f"camera.{name}: {lasts_ms:g} is longer than a frame's {period_ms:g}")
         return self
 
     @model_validator(mode="after")

@@ -161,6 +161,7 @@ def test_a_world_that_is_not_there_is_named_in_words(tmp_path: Path) -> None:
         ("[gel]\nthickness_mm = 0.3\ncrown_mm = 0.2\n", "gel.crown_mm: must be 0 to 0.15"),
         ("[blocks]\nheight_mm = 25.0\ninsertion_depth_mm = 21.0\n", "blocks.insertion_depth_mm: must be at most 20,"),
         ("[camera]\nfps = 120\nexposure_ms = 9.0\n", "camera.exposure_ms: 9 is longer than a frame's 8.33333"),
+        ("[camera]\nfps = 60\nreadout_ms = 33.0\n", "camera.readout_ms: 33 is longer than a frame's 16.6667"),
     ],
 )
 def test_a_world_and_an_object_that_do_not_fit_are_both_named(tmp_path: Path, world: str, named: str) -> None:
