@@ -44,7 +44,7 @@ def foreign_cameras(scene: Scene, seed: int) -> tuple[Camera, Camera]:
     left, right = (
         pictures.Camera(
             scene.sensor,
-            seed + index,
+            2 * seed + index,  # insertions are numbered one after the other
             noise_grey=camera.noise_grey if active.camera_noise else 0.0,
             light=camera.exposure * camera.light,
             blur_share=camera.exposure_ms * scene.fps / 1000 if active.motion_blur else 0.0,

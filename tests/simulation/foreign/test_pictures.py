@@ -7,6 +7,7 @@ from service.contract import FINGERS, FramePair, TactileFrame, wire
 from service.perception.finger import TactileFinger
 from service.perception.rectification import Calibration
 from service.session.factory import make_session
+from simulation.closed_loop.cameras import foreign_cameras
 from simulation.foreign.cell import ForeignCell
 from simulation.foreign.pictures import Camera
 from simulation.scene.worlds import load_scene
@@ -45,6 +46,12 @@ def test_the_same_seed_draws_the_same_bits_and_a_slope_turns_to_its_light(held, 
     change = camera.raw(tilted, 5).astype(float).mean((0, 1)) - camera.raw(np.zeros_like(tilted), 5).mean((0, 1))
     assert change[2] > 2.0
     assert change[1] < -2.0
+
+
+def test_no_two_insertions_one_after_the_other_share_a_camera():
+    scene = load_scene("circle")
+    cameras = [camera for seed in (3, 4) for camera in foreign_cameras(scene, seed)]
+    assert len({camera.calibration.homography.tobytes() for camera in cameras}) == 4
 
 
 def test_a_gel_of_another_shape_is_refused(camera):
