@@ -1,9 +1,11 @@
 """Both fingers of a session: their perception, their newest observations and ages, and their open gels."""
 
+from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from service.cameras.capture import WAITING_N
 from service.contract import FINGERS, Finger, FramePair, TactileFrame
 from service.contract.wire import Doubt
 from service.decision.attempt import Attempt
@@ -25,6 +27,7 @@ class Fingers:
     left: FingerWatch
     right: FingerWatch
     _observations: dict[Finger, Observation] = field(default_factory=dict)
+    _earlier: deque[Observation] = field(default_factory=lambda: deque(maxlen=len(FINGERS) * WAITING_N))
     _newest_ns: dict[Finger, int] = field(default_factory=dict)
     grasp: Grasp = field(default_factory=lambda: Grasp(len(FINGERS)))
     _grasped_in: int = 0
@@ -42,6 +45,8 @@ class Fingers:
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame, and keep it as its finger's newest."""
         observation = self.watch(frame.finger).observe(frame)
+        if newest := self._observations.get(frame.finger):
+            self._earlier.append(newest)
         self._observations[frame.finger] = observation
         if self._slides() and not observation.slip.stop and observation.informative:
             slip = replace(observation.slip, state="gross_slip", score=1.0, reason=IMPRINT_SLIDES)
@@ -68,9 +73,26 @@ class Fingers:
         return "" if newest.informative else newest.field.reason or newest.slip.reason
 
     def missing(self, pair: FramePair) -> list[TactileFrame]:
-        """The frames of a pair that have not been perceived yet."""
-        stamps = {finger: (one.seq, one.captured_ns) for finger, one in self._observations.items()}
-        return [one for one in (pair.left, pair.right) if stamps.get(one.finger) != (one.seq, one.captured_ns)]
+        """The frames of a pair that have not been perceived yet, and still can be: no newer one of the finger was."""
+        return [one for one in (pair.left, pair.right) if not (self._perceived(one) or self._overtaken(one))]
+
+    def _perceived(self, frame: TactileFrame) -> Observation | None:
+        """The observation of that very frame, if it is one of the last ones."""
+        known = (*self._observations.values(), *self._earlier)
+        named = frame.finger, frame.seq, frame.captured_ns
+        return next((one for one in known if (one.finger, one.seq, one.captured_ns) == named), None)
+
+    def _overtaken(self, frame: TactileFrame) -> bool:
+        newest = self._observations.get(frame.finger)
+        return newest is not None and frame.captured_ns < newest.captured_ns
+
+    def of(self, pair: FramePair) -> PairObservation | None:
+        """The observations of a pair's own frames, which newer ones may have followed; None where one has none.
+
+        A camera's pictures may arrive several periods after the other's.
+        """
+        left, right = self._perceived(pair.left), self._perceived(pair.right)
+        return PairObservation(left, right) if left and right else None
 
     def both(self) -> PairObservation:
         """The newest observations of both fingers."""

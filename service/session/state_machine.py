@@ -204,15 +204,13 @@ class InsertionSession:
         if attempt is None or not self.wants_frames:
             self._fingers.note(pair.left, pair.right)
             return []
-        replies: Replies = []
-        for frame in self._fingers.missing(pair):
-            replies += self.on_frame(frame, now_ns)
-        both = self._fingers.both()
+        replies = [answer for frame in self._fingers.missing(pair) for answer in self.on_frame(frame, now_ns)]
         if attempt.stage is Stage.ARMING:
-            answer = attempt.take_reference(both)
-            return [*replies, answer] if answer else replies
-        if why := self._fingers.emptied(attempt):
-            return [*replies, self._fault("part_lost", why)]
+            reference = attempt.take_reference(self._fingers.both())
+            return [*replies, reference] if reference else replies
+        lost, both = self._fingers.emptied(attempt), self._fingers.of(pair)
+        if lost or both is None:
+            return [*replies, self._fault("part_lost", lost)] if lost else replies
         attempt.take_in(both)
         if attempt.outcome == "inserted":
             return replies + self._conclude(now_ns)

@@ -112,6 +112,23 @@ def test_a_pairs_frame_is_missing_until_its_very_frame_was_perceived() -> None:
         assert [shown.finger for shown in one.missing(newer)] == ["left"]
 
 
+def test_a_pair_is_of_its_own_frames_though_newer_ones_of_a_finger_were_perceived_before() -> None:
+    """The right camera's pictures arrive three periods later; of the left one's, the first was dropped."""
+    watch: Any = SimpleNamespace(observe=lambda one: replace(observation(one.finger), seq=one.seq, captured_ns=one.seq))
+    one = Fingers(watch, watch)
+    for shown in [*(frame("left", seq, seq) for seq in range(1, 12)), frame("right", 8, 8)]:
+        one.observe(shown)
+    ready, late = (
+        FramePair(frame("left", 8, 8), frame("right", 8, 8)),
+        FramePair(frame("left", 0, 0), frame("right", 8, 8)),
+    )
+    assert one.missing(ready) == one.missing(late) == [], "a tracker would take an older frame for a repeated one"
+    both = one.of(ready)
+    assert both is not None
+    assert (both.left.seq, both.right.seq, one.both().left.seq) == (8, 8, 11)
+    assert one.of(late) is None
+
+
 def test_frames_are_stale_by_the_finger_that_is_further_behind_and_not_before_both_have_one() -> None:
     one = hand()
     one.note(frame("left", 0, 10_000_000))
