@@ -82,6 +82,11 @@ class PressedFinger:
         return on_lattice(moved_mm, valid, self._weights).reshape(self.lattice.rows, self.lattice.columns, 3)
 
 
+def _readable(pair: PairObservation) -> bool:
+    """Whether both fingers show the gel of that moment; between such pairs its motion is taken to be linear."""
+    return all(finger.field.usable for finger in pair.fingers)
+
+
 @dataclass(slots=True)
 class Descent:
     """The steps of depth of one attempt. ``speed_mm_s`` None: not stated by the client, so no depth is known.
@@ -146,14 +151,19 @@ class Descent:
             assert spec is not None
             longest_n = max(spec.steps_n, self.worth_n)
             self._steps = DepthSteps(spec.model_copy(update={"steps_n": longest_n}), self.legs)
-            self._steps.begin([pair.captured_ns for pair in pairs], [self._read(pair) for pair in pairs], first)
+            at_rest = [pair for pair in pairs[:first] if _readable(pair)]
+            moving = [pair for pair in pairs[first:] if _readable(pair)]
+            if not at_rest:  # then what a finger never showed at rest stays hidden
+                at_rest, moving = pairs[:first], pairs[first:]
+            kept = [*at_rest, *moving]
+            self._steps.begin([pair.captured_ns for pair in kept], [self._read(pair) for pair in kept], len(at_rest))
             return self._fresh()
         except Refusal as refusal:
             self.problem = refusal
             return []
 
     def add(self, pair: PairObservation) -> list[Floats]:
-        if self._steps is None or self.problem:
+        if self._steps is None or self.problem or not _readable(pair):
             return []
         try:
             self._steps.add(pair.captured_ns, self._read(pair))

@@ -1,6 +1,7 @@
 """How long a press is, and what is felt of it."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,8 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.contract.model_card import Lattice
+from service.contract import Sensor
+from service.contract.model_card import Lattice, Pressing
 from service.decision.network_input import Descent, shows_press
+from service.perception.markers.field import TrackStatus, field_from_gel
+from service.perception.observation import PairObservation
+from service.perception.pressing import Legs
+from tests.service.decision.test_claim import PERIOD_NS, pair
 
 
 def test_a_press_is_as_long_as_asked_and_as_the_gel_sticks_but_never_shorter_than_four_steps() -> None:
@@ -57,3 +63,54 @@ def test_a_turn_in_a_small_contact_shows_a_press(turn_deg: float, side: float, s
 def test_a_sag_is_no_press(share: float, radius_mm: float) -> None:
     sagged = carried_by(np.broadcast_to((0.0, 0.75 * share), LATTICE.points_mm.shape), radius_mm)
     assert not shows_press(np.stack([sagged, sagged]), 0.75, LATTICE)
+
+
+SENSOR, TOUCH_MM, MM_S = Sensor.load(), 1.9, 10.0
+
+
+def pressed(number: int) -> PairObservation:
+    """The pair with this number of a descent, which presses from 1.9 mm on: both gels follow by half of it."""
+    stamp_ns, gel = number * PERIOD_NS, np.zeros((20, 21, 3), np.float32)
+    gel[..., 1] = -0.5 * max(0.0, stamp_ns * 1e-9 * MM_S - TOUCH_MM)
+    field = field_from_gel(gel, stamp_ns, SENSOR)
+    left, right = (replace(one, captured_ns=stamp_ns, field=field) for one in pair().fingers)
+    return PairObservation(left, right)
+
+
+def steps_of(pairs: list[PairObservation], first: int) -> np.ndarray:
+    """The steps of depth of these pairs, of which ``first`` is the first that shows motion."""
+    spec = Pressing(lattice=LATTICE, step_mm=0.15, steps_n=4, trained={})
+    card: Any = SimpleNamespace(pressing=spec, frame=SENSOR.rectified, profile=SENSOR)
+    arm = Legs()
+    arm.add(0, MM_S)
+    descent = Descent(card, {"speed_mm_s": MM_S}, 0.6, arm)
+    complete = descent.begin(pairs[: first + 1], first)
+    for one in pairs[first + 1 :]:
+        complete += descent.add(one)
+    return np.stack(complete)
+
+
+@pytest.mark.parametrize("number", [0, 2, 5, 6, 7])
+@pytest.mark.parametrize("status", ["lost", "ambiguous", "duplicate"])
+def test_a_pair_of_which_a_finger_shows_nothing_new_hides_and_delays_no_motion(
+    number: int, status: TrackStatus
+) -> None:
+    """One dark or repeated picture, at rest, at the onset or in the press; the sixth pair is the first to show it."""
+    pairs = [pressed(k) for k in range(10)]
+    last = pairs[max(0, number - 1)].right.field
+    valid = last.valid & (status == "duplicate")
+    blind = replace(last, status=status, valid=valid, captured_ns=number * PERIOD_NS)
+    some = [replace(one, right=replace(one.right, field=blind)) if one is pairs[number] else one for one in pairs]
+    assert steps_of(some, 6) == pytest.approx(steps_of(pairs, 6), abs=1e-4)
+
+
+def test_where_no_pair_shows_a_finger_at_rest_its_motion_is_not_known() -> None:
+    pairs = [pressed(k) for k in range(10)]
+    blind = [replace(one.right.field, status="lost", valid=np.zeros_like(one.right.field.valid)) for one in pairs]
+    some = [
+        replace(one, right=replace(one.right, field=dark)) if k < 6 else one
+        for k, (one, dark) in enumerate(zip(pairs, blind, strict=True))
+    ]
+    shown = steps_of(some, 6)
+    assert not shown[:, 1].any()
+    assert shown[:, 0] == pytest.approx(steps_of(pairs, 6)[:, 0], abs=1e-4)
