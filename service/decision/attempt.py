@@ -212,11 +212,12 @@ class Attempt:
         return onset_ns is not None and paused_ns is not None and onset_ns < paused_ns
 
     def _await_onset(self) -> None:
-        """Wait for the onset from the newest pair on, relative to its gel state."""
+        """Wait for the onset from the newest pair on, relative to its gel state, or the last that could be read."""
         pair = self.ring[-1]
         self.onset_again = tuple(OnsetDetector() for _ in pair.fingers)
-        for watch, one in zip(self.onset_again, pair.fingers, strict=True):
-            watch.rearm(one.field)
+        for finger, watch in enumerate(self.onset_again):
+            shown = [one.fingers[finger].field for one in reversed(self.ring)]
+            watch.rearm(next((field for field in shown if field.usable), shown[0]))
         self.ring = deque([pair], maxlen=RING_PAIRS)
         self.onset_ns = self.descent = self.run = None
         self.decision_pairs, self.steps = [], []

@@ -9,7 +9,7 @@ import pytest
 
 from service.contract import Finger, TactileFrame, wire
 from service.decision.attempt import Attempt, Stage
-from service.perception.markers.field import empty_field
+from service.perception.markers.field import TrackStatus, empty_field
 from service.perception.observation import Observation, PairObservation
 from tests.service.decision.test_claim import observation
 
@@ -161,3 +161,26 @@ def test_motion_began_when_the_first_finger_saw_it_and_stays_at_that(
     assert (len(attempt.pushes), len(attempt.ring)) == (1, 2)
     attempt.take_in(both(1020, 1020, onset_ns=1))
     assert attempt.onset_ns == (onset_ns or 1)
+
+
+def carried(captured_ns: int, by_px: float, status: TrackStatus = "tracking") -> PairObservation:
+    """A pair in which the object has carried all markers that far."""
+    pair = both(captured_ns, captured_ns)
+    field = replace(pair.left.field, captured_ns=captured_ns, status=status)
+    field = replace(field, displacement_px=field.displacement_px + np.float32(by_px))
+    return PairObservation(replace(pair.left, field=field), replace(pair.right, field=field))
+
+
+@pytest.mark.parametrize("status", ["tracking", "lost", "ambiguous", "duplicate"])
+def test_after_a_sag_the_press_is_noticed_though_the_pair_before_the_descent_could_not_be_read(
+    status: TrackStatus,
+) -> None:
+    attempt = armed()
+    sags = carried(1010, 2.0)
+    attempt.take_in(PairObservation(replace(sags.left, onset_ns=1010), sags.right))
+    attempt.take_in(carried(1020, 2.0, status))
+    attempt.descends(wire.Descending(insertion_id="one", attempt=1, speed_mm_s=10.0), 1025)
+    for captured_ns, by_px in ((1030, 2.0), (1040, 2.0), (1050, 4.0)):
+        assert attempt.onset_ns is None
+        attempt.take_in(carried(captured_ns, by_px))
+    assert attempt.onset_ns == 1050
