@@ -7,6 +7,7 @@ is enough for "not confirmed".
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,6 +24,7 @@ FASTEST_MM_S = 250.0  # no guarded descent is faster: a depth reached sooner was
 WIDTH_CHANGE_MM = 1.0  # a held object keeps the fingers apart; the gel yields by less
 BLIND_S = 0.25  # the longest part of a descent without a pair that shows the gels' load,
 BLIND_MM = 2.5  # or the travel in which a slow arm may take longer
+_ROUNDED_MM = 1e-6
 SLID_MM = 0.8  # beyond this slide of the object, nothing shows how far it turned
 LATE_S = 0.075  # possible delay of pictures: the object slides as the arm turns it before a picture shows it
 ALL_LATE_MM = 0.95  # travel within that delay in all attempts with a grasp, added in squares
@@ -165,11 +167,19 @@ def _watched(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
         return
     read = [push.captured_ns for push in attempt.pushes if math.isfinite(push.weaker_pitch)]
     on_the_way = [stamp for stamp in read if attempt.descending_ns < stamp < attempt.stopped_ns]
-    blind_s = max(np.diff([attempt.descending_ns, *on_the_way, attempt.stopped_ns])) / 1e9
+    gaps = list(pairwise([attempt.descending_ns, *on_the_way, attempt.stopped_ns]))
+    blind_s = max(until_ns - since_ns for since_ns, until_ns in gaps) / 1e9
     most_s = max(BLIND_S, BLIND_MM / max(attempt.speed_mm_s or math.inf, went_mm_s(attempt)))
     if not blind_s <= most_s:
         detail = f"for {blind_s:.2f} s of the descent no pair showed what the gels carry"
         yield _doubt("not_seen", detail, blind_s, most_s)
+        return
+    # That is the speed of the last leg: on a faster one before it the arm goes further in this time.
+    long = [gap for gap in gaps if gap[1] - gap[0] > BLIND_S * 1e9]
+    blind_mm = max((attempt.legs.travel_mm(*gap) for gap in long), default=0.0)
+    if not blind_mm <= BLIND_MM + _ROUNDED_MM:
+        detail = f"for {blind_mm:.1f} mm of the descent no pair showed what the gels carry"
+        yield _doubt("not_seen", detail, blind_mm, BLIND_MM)
 
 
 def _held(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:

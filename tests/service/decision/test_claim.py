@@ -127,6 +127,16 @@ def test_a_slow_arm_may_be_blind_for_the_same_way() -> None:
     assert reasons(descent(pushes=kept)) == ["not_seen"]
 
 
+@pytest.mark.parametrize(("first", "doubted"), [(10, ["not_seen"]), (55, [])])
+def test_a_slow_end_of_a_descent_excuses_no_longer_blind_way_before_it(first: int, doubted: list[str]) -> None:
+    """0.43 s without a pair are 4.3 mm on the leg at 10 mm/s, and 2.2 mm on the one at 5 mm/s that follows it."""
+    slow_ns, legs = 46 * PERIOD_NS, Legs()
+    legs.add(0, 10.0)
+    legs.add(slow_ns, 5.0)
+    kept = [push for index, push in enumerate(descent().pushes) if not first <= index < first + 12]
+    assert reasons(descent(pushes=kept, legs=legs, leg_ns=slow_ns, speed_mm_s=5.0, start_mm=20.0)) == doubted
+
+
 def test_an_object_that_was_turned_on_the_way_down_is_not_claimed() -> None:
     attempt = descent()
     attempt.ring.append(pair(turn_rad=0.02))
