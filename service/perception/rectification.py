@@ -34,6 +34,11 @@ from service.perception.markers.fingerprint import check_fingerprint
 SCHEMA_VERSION = 1
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Size = Annotated[list[int], Field(min_length=2, max_length=2)]  # width, height
+_TOGETHER = (
+    ("lens_centre_px", "lens_scale_px", "lens_k"),
+    ("warp_low_px", "warp_high_px", "warp_px"),
+    ("date", "residual_px", "found_share"),
+)
 _MIN_AREA_SHARE = 0.02  # least share of the raw frame that the rectified one covers
 
 
@@ -186,6 +191,13 @@ class _CameraTable(Contract):
     fingerprint: str = ""
     light: str = ""
 
+    def check_whole(self) -> None:
+        """Raise ValueError where only a part of a lens, a warp or a measurement is there: it would not be used."""
+        for names in _TOGETHER:
+            missing = [name for name in names if getattr(self, name) is None]
+            if 0 < len(missing) < len(names):
+                raise ValueError(f"{missing[0]}: missing; expected {', '.join(names)} together, or none of them")
+
     def lens(self) -> Lens | None:
         if self.lens_centre_px is None or self.lens_scale_px is None or self.lens_k is None:
             return None
@@ -238,6 +250,7 @@ def _camera(table: dict[str, Any], finger: Finger, path: str | Path) -> CameraCa
         raise CalibrationError(f"{path} lacks the table [{finger}]")
     try:
         entry = _CameraTable.model_validate(table[finger])
+        entry.check_whole()
         raw, rectified = _spec(entry.raw_px, rectified=False), _spec(entry.rectified_px, rectified=True)
         matrix = np.array(entry.homography, np.float64)
         parts = entry.lens(), entry.warp(), entry.measured(), entry.mm_per_px

@@ -95,6 +95,16 @@ def test_lens_warp_and_what_was_measured_are_loaded_back(tmp_path):
     assert np.array_equal(loaded.left.projection.plane(places), BENT.projection.plane(places))
 
 
+@pytest.mark.parametrize("key", ["lens_scale_px", "lens_k", "warp_low_px", "date", "found_share"])
+def test_a_part_of_a_lens_a_warp_or_a_measurement_is_refused_and_not_left_out(tmp_path, key):
+    """A file edited by hand: without its lens, the frames would be rectified wrongly, and nothing would say so."""
+    Calibration(BENT, BENT).save(tmp_path / "c.toml")
+    lines = (tmp_path / "c.toml").read_text().splitlines()
+    (tmp_path / "c.toml").write_text("\n".join(line for line in lines if not line.startswith(f"{key} =")))
+    with pytest.raises(CalibrationError, match=rf"\[left\]: {key}: missing; expected"):
+        Calibration.load(tmp_path / "c.toml")
+
+
 def test_each_rectified_pixel_shows_the_raw_one_from_which_it_is_projected():
     """The raw frame holds its own coordinates, halved; what lies outside it is black."""
     v, u = np.mgrid[0:320, 0:427]
