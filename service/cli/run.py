@@ -31,8 +31,13 @@ def harmless(_: object, __: str, line: MutableMapping[str, Any]) -> MutableMappi
 
 @contextlib.contextmanager
 def logging_to_standard_error(settings: Settings) -> Iterator[None]:
-    """Structured lines on standard error, JSON if configured; afterwards the library's defaults apply again."""
+    """Structured lines on standard error, JSON if configured; afterwards the library's defaults apply again.
+
+    Warnings of libraries go the same way: the web server warns in the event loop, of any request that is no HTTP.
+    """
     lines = LogLines(lambda: sys.stderr)
+    warnings = logging.StreamHandler(cast("TextIO", lines))
+    logging.getLogger().addHandler(warnings)
     renderer = structlog.processors.JSONRenderer() if settings.log_json else structlog.dev.ConsoleRenderer(colors=False)
     structlog.configure(
         processors=[
@@ -50,6 +55,7 @@ def logging_to_standard_error(settings: Settings) -> Iterator[None]:
         yield
     finally:
         structlog.reset_defaults()
+        logging.getLogger().removeHandler(warnings)
         lines.close()
 
 

@@ -1,11 +1,15 @@
 """What `service run` says at its start, with nothing behind it."""
 
+import logging
+import threading
 from types import SimpleNamespace
+from typing import Any
 from unittest.mock import Mock
 
 import pytest
 
 from service.cli import run
+from tests.service.observability.test_log_lines import Stuck
 
 
 @pytest.mark.parametrize("why", ["left: another gel is not noticed", ""])
@@ -25,3 +29,20 @@ def test_a_calibration_that_tells_no_gel_from_another_is_named_at_the_start(
     lines = capsys.readouterr().err
     assert ("calibrate again" in lines) == bool(why)
     assert why in lines
+
+
+def test_a_warning_of_the_web_server_waits_for_no_reader_of_standard_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is given in the event loop, and any client can cause it: the messages to the robot would wait."""
+    out, settings = Stuck(), SimpleNamespace(log_json=False)
+    monkeypatch.setattr("sys.stderr", out)
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    warn: Any = logging.getLogger("uvicorn.error").warning
+    with run.logging_to_standard_error(settings):  # type: ignore[arg-type]
+        loop = threading.Thread(target=warn, args=["Invalid HTTP request received."], daemon=True)
+        loop.start()
+        loop.join(5)
+        waited = loop.is_alive()
+        out.reads.set()
+    assert not waited
+    assert out.getvalue() == "Invalid HTTP request received.\n"
+    assert logging.getLogger().handlers == []
