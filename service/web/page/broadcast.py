@@ -4,13 +4,14 @@ import asyncio
 import base64
 import contextlib
 import json
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
+import structlog
 from numpy.typing import NDArray
 
 from service.cameras.capture import CameraFrame, now_ns
@@ -24,6 +25,7 @@ PERIOD_S = 0.15
 STATUS_S = 1.0
 FRESH_NS = 2_000_000_000  # how long the last observation is shown after an insertion
 _display = ThreadPoolExecutor(1, "display")  # drawing never delays a decision
+log = structlog.get_logger()
 
 
 def picture(frame: CameraFrame, observation: Observation | None, rectifier: Rectifier | None) -> dict[str, Any]:
@@ -108,7 +110,7 @@ class Broadcast:
 
     def _start(self) -> None:
         loop = asyncio.get_running_loop()
-        self._tasks = [loop.create_task(work) for work in (self._show_pictures(), self._show_status())]
+        self._tasks = [loop.create_task(_kept_up(show)) for show in (self._show_pictures, self._show_status)]
 
     def _stop(self) -> None:
         for task in self._tasks:
@@ -149,6 +151,16 @@ class Broadcast:
                 shown_n, shown_s = changes_n, now_s
                 self._show("status", _text("status", await asyncio.to_thread(self._status.snapshot)))
             await asyncio.sleep(PERIOD_S)
+
+
+async def _kept_up(show: Callable[[], Awaitable[None]]) -> None:
+    """Show on after a failure: else every page would keep what it shows, and look as if nothing happened."""
+    while True:
+        try:
+            await show()
+        except Exception as error:
+            log.error("page", error=repr(error))  # noqa: TRY400 - one line, not a page, each second
+        await asyncio.sleep(STATUS_S)
 
 
 def _drawn(frame: CameraFrame, observation: Observation | None, rectifier: Rectifier | None) -> str:

@@ -218,7 +218,7 @@ class Status:
             if running.afresh_n and running.attempt == running.earlier_n:
                 counted = "Regrasped: "
             words = PHASES.get(running.phase, running.phase)
-            text = words[0].lower() + words[1:] if counted else words
+            text = words[:1].lower() + words[1:] if counted else words  # a client may name no phase
             level = "warning" if running.phase in ANSWERED or bad else "busy"
             detail = ". ".join(part for part in (unseen, running.problem) if part)
             return {"level": level, "words": counted + text, "detail": detail}

@@ -1,5 +1,6 @@
 """The page's data: one snapshot, the same for early and late pages."""
 
+import asyncio
 import json
 import time
 from collections.abc import Callable
@@ -10,6 +11,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+import structlog
 from websockets.sync.client import connect
 
 from robot_client.insertion.actions import cause_of
@@ -20,6 +22,7 @@ from service.decision.controllers import BeliefPicture, Command
 from service.recordings.listing import Summary
 from service.recordings.writer import Recorder
 from service.web.page.alarms import Alarms
+from service.web.page.broadcast import Broadcast
 from service.web.page.playback import timeline
 from service.web.page.running import Running
 from service.web.page.sentences import ended, event, shift, sure
@@ -64,6 +67,40 @@ def test_a_page_opened_in_mid_attempt_says_what_goes_on(live: LiveService) -> No
     assert running["target"] is None
     driver.gives_up()
     assert until(live, lambda shown: shown["running"] is None)["last"]["words"] == "Stopped by a person"
+
+
+def test_a_client_that_names_no_phase_leaves_the_page_its_state(live: LiveService) -> None:
+    shown, publish = Status(live.station), live.station.hub.publish
+    greeting = {"models": (), "cameras": (), "controller": "belief", "limits": live.station.settings.limits}
+    publish("message", wire.ServiceHello(insertion_id="mute", **greeting))
+    publish("client", wire.Arm(insertion_id="mute", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0))
+    publish("robot", wire.RobotSample(at_ns=1, phase="", attempt=1))
+    assert shown.snapshot()["headline"]["words"] == "Attempt 1 of 15: "
+    publish("message", wire.Finished(insertion_id="mute", outcome="aborted", attempts=1, cause="operator"))
+    assert status(live)["running"] is None
+
+
+def test_a_state_that_cannot_be_shown_is_logged_and_the_page_gets_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("service.web.page.broadcast.STATUS_S", 0.01)
+
+    def snapshot() -> dict[str, str]:
+        if not failed:
+            failed.append(True)
+            raise IndexError("string index out of range")
+        return {"words": "as before"}
+
+    async def first() -> str:
+        with Broadcast(station, status_of).page() as page:
+            return await asyncio.wait_for(page.next(), 20)
+
+    failed: list[bool] = []
+    status_of: Any = SimpleNamespace(snapshot=snapshot, changes_n=0)
+    hub = SimpleNamespace(frames={}, observations={})
+    station: Any = SimpleNamespace(manager=SimpleNamespace(calibration=None), hub=hub, active=None)
+    with structlog.testing.capture_logs() as lines:
+        text = asyncio.run(first())
+    assert json.loads(text) == {"kind": "status", "content": {"words": "as before"}}
+    assert [(line["event"], line["log_level"]) for line in lines] == [("page", "error")]
 
 
 def test_a_failure_stays_until_a_person_has_seen_it_even_over_a_restart(live: LiveService) -> None:
