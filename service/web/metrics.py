@@ -3,6 +3,7 @@
 import asyncio
 import time
 from functools import partial
+from itertools import product
 from typing import Any, get_args
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Gauge, Histogram, generate_latest
@@ -42,6 +43,12 @@ class Metrics:
             self._refused.labels(code)
         Gauge("start_time_seconds", "When the service started, Unix time", **make).set(time.time())
         self._faults = Counter("camera_faults", "Camera faults", ["finger", "code"], **make)
+        self._messages.labels("correction")  # a worn gel gives none, and the alert divides by their number
+        for reason in get_args(wire.NoDecisionReason):
+            self._refusals.labels(reason)
+        for finger, code in product(station.cameras, get_args(wire.FaultCode)):
+            if code.startswith("camera_"):
+                self._faults.labels(finger, code)
         self._slip_age = Histogram("slip_age_seconds", "Capture to stop message", buckets=_STAGE_BUCKETS, **make)
         self._result_age = Histogram("result_age_seconds", "Capture to slip judgement", buckets=_STAGE_BUCKETS, **make)
         age = Gauge("frame_age_seconds", "Age of the newest frame", ["finger"], **make)

@@ -142,13 +142,29 @@ def metrics_read(text: str) -> set[str]:
     return {re.sub(r"_(total|bucket|count|sum)$", "", name) for name in re.findall(r"\btactile_[a-z_]+", text)}
 
 
-@pytest.mark.parametrize("path", ["prometheus/alerts.yml", "prometheus/alerts_test.yml", "grafana/dashboard.json"])
-def test_alerts_and_dashboard_read_only_metrics_that_the_service_has(path, tmp_path):
+@pytest.fixture
+def metrics(tmp_path):
+    """The metrics of a service that has just started."""
     cameras = dict.fromkeys(("camera_left", "camera_right"), "push:")
     station = open_station(Settings(models=ROOT / "models", recordings=tmp_path, state=tmp_path, **cameras))
     station.owned.close()
-    metrics = Metrics(station)
+    return Metrics(station)
+
+
+@pytest.mark.parametrize("path", ["prometheus/alerts.yml", "prometheus/alerts_test.yml", "grafana/dashboard.json"])
+def test_alerts_and_dashboard_read_only_metrics_that_the_service_has(path, metrics):
     assert metrics_read((DOCKER / path).read_text()) <= {family.name for family in metrics.registry.collect()}
+
+
+def test_what_an_alert_counts_has_its_series_from_the_start(metrics):
+    """A gel that is worn out gives no correction: a sum with no series of these is none, and so is the alert."""
+    counted = set(re.findall(r"increase\((tactile_\w+)", (DOCKER / "prometheus" / "alerts.yml").read_text()))
+    series = [sample for family in metrics.registry.collect() for sample in family.samples]
+    assert counted <= {sample.name for sample in series}
+    labels = {(sample.name, *sample.labels.values()) for sample in series}
+    assert ("tactile_messages_total", "correction") in labels
+    assert labels >= {("tactile_no_decisions_total", reason) for reason in get_args(wire_parts.NoDecisionReason)}
+    assert sum(name == "tactile_camera_faults_total" for name, *_ in labels) == 2 * 4, "of each finger, each kind"
 
 
 @pytest.mark.parametrize("path", ["prometheus/alerts.yml", "grafana/dashboard.json"])
