@@ -76,10 +76,10 @@ class Waiting:
     ``connections`` are uvicorn's protocols. One is idle while none of its requests is being answered.
     """
 
-    connections: Collection[Any] = ()
+    connections: Collection[Any]
     _since: WeakKeyDictionary[Any, tuple[Any, float | None]] = field(default_factory=WeakKeyDictionary)
 
-    async def look(self) -> None:
+    def look(self) -> None:
         """Check the connections; the web server calls this ten times per second."""
         now_s = time.monotonic()
         waiting: list[tuple[float, Any]] = []
@@ -118,7 +118,17 @@ class Server(uvicorn.Server):
     """Waits at its end for answers under way, but not for streams of pictures, which end with their viewers only.
 
     A WebSocket whose client is just leaving is closed already: uvicorn would close it again, and end with an error.
+    Its own callback is made once a second by the wall clock: one set back by an hour would keep it waiting as long.
     """
+
+    def __init__(self, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self._waiting = Waiting(self.server_state.connections)
+
+    async def on_tick(self, counter: int) -> bool:
+        """Ten times a second: True if the server should stop, as the standard one."""
+        self._waiting.look()
+        return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop, as the standard one."""
@@ -137,7 +147,6 @@ def web_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
 
     A proxy's headers are not trusted: the address of a client is that of its connection.
     """
-    waiting = Waiting()
     config = uvicorn.Config(
         app,
         http="h11",
@@ -152,12 +161,8 @@ def web_server(app: FastAPI, settings: Settings) -> uvicorn.Server:
         server_header=False,
         timeout_keep_alive=10,
         timeout_graceful_shutdown=3,
-        timeout_notify=0,
-        callback_notify=waiting.look,
         h11_max_incomplete_event_size=MAX_HEAD_BYTES,
         ssl_certfile=str(settings.tls_certificate) if settings.tls_certificate else None,
         ssl_keyfile=str(settings.tls_key) if settings.tls_key else None,
     )
-    server = Server(config)
-    waiting.connections = server.server_state.connections
-    return server
+    return Server(config)

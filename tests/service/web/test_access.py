@@ -1,5 +1,6 @@
 """Who comes in, how fast, and over what: tokens, origins, rates, time limits, TLS. On real sockets."""
 
+import asyncio
 import contextlib
 import itertools
 import shutil
@@ -7,10 +8,15 @@ import socket
 import ssl
 import subprocess
 import sys
+import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import Mock
 
 import httpx
 import pytest
+from fastapi import FastAPI
 from hypothesis import given
 from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -54,6 +60,17 @@ def test_a_client_too_fast_is_told_to_slow_down_and_health_goes_on(tmp_path: Pat
         assert (refused.headers["retry-after"], refused.headers["connection"]) == ("1", "close")
         assert "more than 0.5 requests a second" in refused.json()["error"]
         assert {httpx.get(slow.url("/healthz")).status_code for _ in range(10)} == {200}
+
+
+def test_idle_connections_are_closed_also_after_the_wall_clock_was_set_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "HEAD_TIMEOUT_S", -1.0)
+    settings: Any = SimpleNamespace(tls_certificate=None, tls_key=None)
+    serving, idle = server.web_server(FastAPI(), settings), Mock(cycle=None)
+    serving.server_state.connections.add(idle)
+    serving.last_notified = time.time() + 3600.0
+    for tick in range(1, 3):
+        assert asyncio.run(serving.on_tick(tick)) is False
+    idle.transport.close.assert_called_once_with()
 
 
 def test_half_a_request_is_not_waited_for(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
