@@ -262,6 +262,8 @@ class Station:
             raise ContractError(
                 f"new models expect {fresh.card.frame.shape}, the service runs {self.models.card.frame.shape}"
             )
+        if (calibration := self.manager.calibration) and (why := calibration.unlike(fresh.card)):
+            raise ContractError(f"{self.settings.calibration} {why}")
         if self.active is not None:
             raise ContractError("an insertion is under way; load models between insertions")
         self.versions.begin_anew(fresh)
