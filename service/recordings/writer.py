@@ -141,7 +141,7 @@ class Recorder:
         self.folder.mkdir(parents=True)
         self._offset_ns = time.time_ns() - time.monotonic_ns()
         self._stream = (self.folder / PART).open("wb")
-        fcntl.flock(self._stream, fcntl.LOCK_EX | fcntl.LOCK_NB)  # shows a recovery that the writer is alive
+        fcntl.flock(self._stream, fcntl.LOCK_EX)  # shows a recovery that the writer is alive; a list holds it briefly
         self._mcap = _Mcap(self._stream)
         facts = {"insertion_id": self.insertion_id, "started": started.isoformat()}
         self._mcap.metadata(

@@ -1,12 +1,17 @@
 """Recording failures: the list still answers, readiness and a metric report them, and no frame is lost silently."""
 
 import contextlib
+import fcntl
 import json
+import os
 import resource
 import shutil
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import IO
 
 import httpx
 import numpy as np
@@ -16,7 +21,7 @@ from websockets.sync.client import connect
 from service import __main__ as entry
 from service.contract import FINGERS, TactileFrame, encode_frame, wire
 from service.recordings.reader import Recording
-from service.recordings.writer import FINAL
+from service.recordings.writer import FINAL, Recorder
 from service.session.station import Station
 from service.settings import Settings
 from tests.service.client import greeted
@@ -83,6 +88,22 @@ def test_a_recording_that_is_being_written_is_no_problem(own: LiveService) -> No
     finished = driver.insert(1)
     assert finished.outcome == "inserted", finished
     driver.close()
+
+
+def test_who_lists_recordings_as_one_begins_keeps_nothing_from_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To see whether it is written, the list locks it for a moment, which may be the one before the writer does."""
+
+    def listed_meanwhile(stream: IO[bytes], how: int) -> None:
+        looking = os.open(stream.name, os.O_RDONLY)
+        fcntl.flock(looking, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        threading.Timer(0.05, os.close, [looking]).start()
+        fcntl.flock(stream, how)
+
+    late = SimpleNamespace(flock=listed_meanwhile, LOCK_EX=fcntl.LOCK_EX, LOCK_NB=fcntl.LOCK_NB)
+    monkeypatch.setattr("service.recordings.writer.fcntl", late)
+    assert Recorder(tmp_path, "begins", {}).close({"outcome": "failed", "attempts": 0}).is_file()
 
 
 def test_a_missing_folder_is_named_everywhere_and_comes_back(own: LiveService) -> None:
