@@ -14,7 +14,7 @@ from service.contract.frames import first_error
 from service.contract.replies import MEANT, descended_n, in_todays_words
 from service.contract.wire import Finished
 from service.contract.wire_parts import errors_left
-from service.recordings.names import NAME
+from service.recordings.names import NAME, newest_name
 from service.recordings.recovery import is_being_written
 from service.recordings.writer import FINAL, UNREADABLE
 
@@ -114,10 +114,12 @@ def list_recordings(root: Path, most_n: int | None = None) -> tuple[list[dict[st
 def held_over(root: Path) -> str | None:
     """What the last insertion holds over to the next one, see `OpenGels`; None where that is not known.
 
-    One that broke off, or of which nothing can be read, may have ended in the middle of a press.
+    One that broke off, that was removed, or of which nothing can be read, may have ended in the middle of a press.
     """
     listed, problems = list_recordings(root, most_n=1)
     if problems or (listed and listed[0]["outcome"] == "interrupted"):
+        return None
+    if (last := newest_name(root)) and not (listed and listed[0]["name"] == last):
         return None
     return str(listed[0]["held_over"]) if listed else ""
 
@@ -151,7 +153,7 @@ def each_recording(root: Path, problems: list[str], insertion_id: str | None = N
         except FileNotFoundError:
             if (folder / UNREADABLE).is_file():
                 problems.append(f"{folder.name}: broken off before there was anything to read; remove it")
-            elif folder.is_dir() and not is_being_written(folder):
+            elif any(folder.glob("*")) and not is_being_written(folder):
                 problems.append(f"{folder.name}: broken off; the next start of the service recovers what can be read")
         except (OSError, ValueError) as error:
             problems.append(f"{folder.name}: summary.json: {_reason(error)}")
