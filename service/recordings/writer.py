@@ -186,7 +186,8 @@ class Recorder:
 
     def robot(self, sample: wire.RobotSample, at_ns: int) -> None:
         """Record the pose of arm and gripper at ``at_ns`` of this machine's monotonic clock."""
-        self._queue.put(lambda: self._mcap.json("/robot", sample.model_dump(mode="json"), at_ns + self._offset_ns))
+        log_ns = max(0, at_ns + self._offset_ns)  # no file holds less: a client's clock may fall by decades
+        self._queue.put(lambda: self._mcap.json("/robot", sample.model_dump(mode="json"), log_ns))
 
     def work_out(self, topic: str, work: Callable[[], Mapping[str, Any]], now_ns: int) -> None:
         """Record a value that the recorder's thread, which has the time, still has to compute."""

@@ -3,12 +3,14 @@
 import json
 import time
 from pathlib import Path
+from unittest.mock import Mock
 
 import httpx
 
 from service.contract import FINGERS, wire
 from service.recordings.reader import Recording
-from service.recordings.writer import IMAGE
+from service.recordings.writer import IMAGE, Recorder
+from service.session.insertion import Insertion
 from tests.service.client import Driver, greeted
 from tests.service.conftest import LiveService
 
@@ -71,6 +73,20 @@ def test_the_file_holds_task_robot_and_end(live: LiveService) -> None:
     assert "telemetry" not in kinds
     markers_n = {finger: len(recording.of(f"/{finger}/markers")) for finger in FINGERS}
     assert min(markers_n.values()) >= 8
+
+
+def test_a_clients_clock_that_falls_as_far_as_it_can_ends_no_recording(tmp_path: Path) -> None:
+    """A time below 0 left a broken record in its chunk, and nothing more could be written."""
+    recorder = Recorder(tmp_path, "clock", {})
+    insertion = Insertion(Mock(attempt=None), recorder, None, Mock())
+    for sent_ns in ((1 << 62) - 1, 0):
+        sample = wire.RobotSample(at_ns=sent_ns, phase="descending", attempt=1)
+        insertion.message(wire.Telemetry(insertion_id="clock", sent_ns=sent_ns, samples=(sample,)))
+        insertion._settle()
+    recorder.message("service", {"type": "finished"}, 0)
+    recording = Recording(recorder.close({"outcome": "failed", "attempts": 1}))
+    assert (recording.complete, recorder.problem) == (True, "")
+    assert [entry.topic for entry in recording.entries] == ["/robot", "/robot", "/messages"]
 
 
 def test_a_camera_that_sends_jpeg_is_never_recorded_as_pixels(live: LiveService) -> None:
