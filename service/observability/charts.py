@@ -7,6 +7,7 @@ three charts of a hundred alarm within 1,000 insertions; a shift by one standard
 import bisect
 import contextlib
 import json
+import os
 import threading
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -114,7 +115,10 @@ class Charts:
         with self._lock:
             whole = {"within": self._within, "charts": {name: asdict(chart) for name, chart in self._charts.items()}}
             fresh = self._path.with_suffix(".partial")
-            fresh.write_text(json.dumps(whole))
+            with fresh.open("w") as file:
+                file.write(json.dumps(whole))
+                file.flush()
+                os.fsync(file.fileno())  # else a power cut may leave an empty one
             fresh.replace(self._path)
 
     def _crosses(self, name: str, value: float, of: str) -> bool:

@@ -288,7 +288,10 @@ def put_on_disk(folder: Path) -> None:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a small file atomically."""
+    """Write a small file atomically: a power cut leaves the old or the new one, not an empty one."""
     partial = path.with_suffix(".partial")
-    partial.write_text(text)
+    with partial.open("w") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
     partial.replace(path)

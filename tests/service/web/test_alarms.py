@@ -9,6 +9,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from service.observability.charts import Charts
 from service.web.page.alarms import EARLIER, KEPT_N, Alarms
 from service.web.page.status import SHOWN_ALARMS_N, Status
 from tests.service.client import greeted
@@ -96,6 +97,22 @@ def test_an_alarm_waits_for_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     Alarms(tmp_path / "alarms.json").sound("service", "warning", "Fault of the service")
     assert waited == []
     answers.set()
+
+
+@pytest.mark.parametrize("kept", ["alarms.json", "charts.json"])
+def test_what_outlives_a_restart_is_on_the_disk_before_it_takes_its_forerunners_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: str
+) -> None:
+    """Else a power cut soon after leaves an empty file, and with it no alarm of before either."""
+    on_disk: dict[int, int] = {}
+    monkeypatch.setattr(os, "fsync", lambda number: on_disk.update({os.fstat(number).st_ino: os.fstat(number).st_size}))
+    if kept == "charts.json":
+        Charts(tmp_path / kept).keep()
+    else:
+        Alarms(tmp_path / kept).sound("service", "warning", "Fault of the service")
+        assert len(Alarms(tmp_path / kept).all) == 1, "read behind what is being written"
+    file = (tmp_path / kept).stat()
+    assert on_disk == {file.st_ino: file.st_size}
 
 
 def test_a_disk_is_not_asked_while_events_wait_for_the_answer(
