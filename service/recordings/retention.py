@@ -46,19 +46,24 @@ def prune(root: Path, max_bytes: int) -> list[Path]:
     """Remove the oldest insertions until the rest fits into ``max_bytes``; the newest always stays. Returns them.
 
     Those of which a full disk took nothing go, too: but the newest, as it shows that the one before was not the last.
-    Folders that are not named like a recording are neither removed nor counted.
+    Folders that are not named like a recording are neither removed nor counted. Raises OSError at the end if one of
+    another user, say, has stayed: the limit is not kept then.
     """
     entries = root.iterdir() if root.is_dir() else ()
     folders = sorted(path for path in entries if NAME.fullmatch(path.name) and path.is_dir())
     sizes = [_size_bytes(folder) for folder in folders]
     removed: list[Path] = []
+    errors: list[BaseException] = []
     total = sum(sizes)
     for folder, size in zip(folders[:-1], sizes[:-1], strict=True):
         if total <= max_bytes and size:
             continue
-        shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(folder, onerror=lambda _, __, raised: errors.append(raised[1]))
         removed.append(folder)
         total -= size
+    for error in errors:
+        if not isinstance(error, FileNotFoundError):  # that one was removed from the page meanwhile
+            raise error
     return removed
 
 

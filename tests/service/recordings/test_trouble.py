@@ -1,6 +1,7 @@
 """Recording failures: the list still answers, readiness and a metric report them, and no frame is lost silently."""
 
 import contextlib
+import errno
 import fcntl
 import json
 import os
@@ -120,6 +121,21 @@ def test_who_lists_recordings_as_one_begins_keeps_nothing_from_it(
     late = SimpleNamespace(flock=listed_meanwhile, LOCK_EX=fcntl.LOCK_EX, LOCK_NB=fcntl.LOCK_NB)
     monkeypatch.setattr("service.recordings.writer.fcntl", late)
     assert Recorder(tmp_path, "begins", {}).close({"outcome": "failed", "attempts": 0}).is_file()
+
+
+def test_an_old_recording_that_cannot_be_removed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of another user, from before the service ran in a container: the disk fills up beyond its limit."""
+
+    def refused(name: str, **_: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", name)
+
+    for name in ("one", "two"):
+        Recorder(tmp_path, name, {}).close({"outcome": "inserted", "attempts": 1})
+    with monkeypatch.context() as of_another_user:
+        of_another_user.setattr(os, "unlink", refused)
+        assert make_room(tmp_path, 4).startswith("no old recording can be removed: Permission denied: ")
+    assert make_room(tmp_path, 4) == ""
+    assert [path.name.partition("_")[2] for path in tmp_path.iterdir()] == ["two"]
 
 
 def test_a_missing_folder_is_named_everywhere_and_comes_back(own: LiveService) -> None:
