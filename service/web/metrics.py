@@ -39,16 +39,8 @@ class Metrics:
             self._finished.labels(ending(cause), cause)
         self._finished.labels("inserted", NO_CAUSE)
         self._refused = Counter("clients_refused", "Clients that could open no insertion, by why", ["code"], **make)
-        for code in TURNED_AWAY:
-            self._refused.labels(code)
         Gauge("start_time_seconds", "When the service started, Unix time", **make).set(time.time())
         self._faults = Counter("camera_faults", "Camera faults", ["finger", "code"], **make)
-        self._messages.labels("correction")  # a worn gel gives none, and the alert divides by their number
-        for reason in get_args(wire.NoDecisionReason):
-            self._refusals.labels(reason)
-        for finger, code in product(station.cameras, get_args(wire.FaultCode)):
-            if code.startswith("camera_"):
-                self._faults.labels(finger, code)
         self._slip_age = Histogram("slip_age_seconds", "Capture to stop message", buckets=_STAGE_BUCKETS, **make)
         self._result_age = Histogram("result_age_seconds", "Capture to slip judgement", buckets=_STAGE_BUCKETS, **make)
         age = Gauge("frame_age_seconds", "Age of the newest frame", ["finger"], **make)
@@ -81,7 +73,19 @@ class Metrics:
         ready.set_function(lambda: float(station.ready))
         self._counted: dict[Finger, int] = {}
         self._text, self._made_ns, self._making = b"", -_NEWEST_NS, asyncio.Lock()
+        self._begin_series()
         station.hub.subscribe(self._on_event)
+
+    def _begin_series(self) -> None:
+        """Series that alerts read begin at 0: a worn gel gives no correction, and nothing is divided by no series."""
+        for code in TURNED_AWAY:
+            self._refused.labels(code)
+        self._messages.labels("correction")
+        for reason in get_args(wire.NoDecisionReason):
+            self._refusals.labels(reason)
+        for finger, fault in product(self._station.cameras, get_args(wire.FaultCode)):
+            if fault.startswith("camera_"):
+                self._faults.labels(finger, fault)
 
     def _age_s(self, finger: Finger) -> float:
         newest_ns = self._station.cameras[finger].newest_ns
