@@ -184,7 +184,8 @@ class Probing:
         self._rate_hz = min(felt.rates_hz, default=self._rate_hz)
         done = probe_of(plan.insertion_id, plan.approach, felt.answer)
         if watch.stop:
-            done = done.model_copy(update={"below_mm": watch.stop.touch_mm - plan.clearance_mm})
+            below_mm, touch_mm_s = watch.stop.touch_mm - plan.clearance_mm, watch.stop.speed_mm_s
+            done = done.model_copy(update={"below_mm": below_mm, "touch_mm_s": touch_mm_s})
         if plan.until_slip:
             done = done.model_copy(update={"slid_mm": felt.slid_mm})
         return Ended(done, state.phase, state.reason, felt.gels, watch.stop)

@@ -16,12 +16,13 @@ LEAST_N = 2  # touches that tell it
 def lower_mm(record: Record, speed_mm_s: float) -> float | None:
     """How much lower the blocks' tops are than taught, less what is late; None where that is not known.
 
-    An object that hangs so much higher in the hand is the same. ``speed_mm_s``: of the touches.
+    An object that hangs so much higher in the hand is the same. ``speed_mm_s``: of touches whose own is not recorded.
+    The cell's speed may have been lowered since, and an early touch is met at that of a fast leg.
     """
-    below_mm = [probe.below_mm for probe in record.signs if probe.below_mm is not None]
-    if len(below_mm) < LEAST_N or record.late_s is None:
+    touches = [(one.below_mm, one.touch_mm_s or speed_mm_s) for one in record.signs if one.below_mm is not None]
+    if len(touches) < LEAST_N or (late_s := record.late_s) is None:
         return None
-    return fmean(below_mm) - speed_mm_s * record.late_s
+    return fmean(below_mm - mm_s * late_s for below_mm, mm_s in touches)
 
 
 def teach(tables: Mapping[str, Any], speed_mm_s: float, record: Record, path: Path) -> str:

@@ -1,6 +1,9 @@
 """The wiring check of a new cell: four probes with known errors, and which mistakes their answers name."""
 
 import math
+from typing import Any
+
+from pydantic import SerializerFunctionWrapHandler, model_serializer
 
 from robot_client.insertion.geometry import WorkPose
 from service.contract import wire
@@ -21,7 +24,8 @@ class Probe(Contract):
     """One probe: its known error, and the service's result (``said`` if it gave no estimate).
 
     ``turns_deg``: turn of the object as seen by the left and the right finger, clockwise in their pictures.
-    ``below_mm``: how far below the taught tops of the blocks it touched, as it seems; what is late makes it more.
+    ``below_mm``: how far below the taught tops of the blocks it touched, as it seems; what is late makes it more,
+    by the way in that time at ``touch_mm_s``, the speed of that touch.
     ``grip_n`` and ``slid_mm``, of a press until slip: the set force of the fingers, None if it cannot be set; and how
     far it had pressed when the gel slid, None if it did not or no contact is known.
     """
@@ -34,10 +38,17 @@ class Probe(Contract):
     sigma_theta_deg: float | None = None
     turns_deg: tuple[float, float] | None = None
     below_mm: float | None = None
+    touch_mm_s: float | None = None
     grip_n: float | None = None
     slid_mm: float | None = None
     said: str = ""
     insertion_id: str
+
+    @model_serializer(mode="wrap")
+    def _as_stored(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without a speed that is not known: records from before it was kept have their digest still."""
+        stored: dict[str, Any] = plain(self)
+        return stored if self.touch_mm_s is not None else {key: stored[key] for key in stored if key != "touch_mm_s"}
 
 
 def mistakes(signs: tuple[Probe, ...]) -> tuple[str, ...]:

@@ -235,6 +235,7 @@ def test_a_probe_tells_how_far_below_the_taught_tops_it_touched(tmp_path, monkey
     plan = PLAN.model_copy(update={"purpose": "probe"})
     ended = asyncio.run(Probing(REAL, REAL.cycle, tmp_path)._run(plan, DryGripper()))
     assert ended.probe.below_mm == pytest.approx(7.5 - 0.8 - 10.0 * 0.02 - plan.clearance_mm, abs=0.01)
+    assert ended.probe.touch_mm_s == 10.0
     assert ended.probe.slid_mm is None
     order = SLIPPED
     for until_slip, slid_mm in ((True, 0.8), (False, None)):

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from robot_client.cli.insert import with_commissioning
 from robot_client.insertion.lease import Lease
 from robot_client.session.commission.record import RECORD, Record, keep_record, read_record
+from robot_client.session.commission.wiring import Probe
 from robot_client.settings import Settings
 from service.contract.frames import ContractError
 from service.contract.toml import read_toml, toml_text
@@ -66,6 +67,14 @@ def test_a_record_is_read_as_it_was_written(tmp_path):
     keep_record(path, record)
     assert read_record(path).model_copy(update={"sha256": ""}) == record
     assert len(path.read_text().splitlines()) < 20 + len(signs) + len(presses), "a line for each probe"
+
+
+def test_a_record_from_before_the_speed_of_a_touch_was_kept_has_its_digest_still():
+    probe = Probe(x_mm=8.0, theta_deg=8.0, below_mm=1.5, insertion_id="p")
+    record = Record(begun="today", seed=1, signs=(probe,))
+    assert record.digest() == "9e802c7263e0aa780508eb37ab56a463685ccf182fe9ef2c3195df1d2fb97315"
+    faster = record.model_copy(update={"signs": (probe.model_copy(update={"touch_mm_s": 10.0}),)})
+    assert faster.digest() != record.digest()
 
 
 def test_a_full_disk_leaves_the_record_of_the_probe_before(tmp_path):

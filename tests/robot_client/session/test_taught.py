@@ -9,7 +9,7 @@ from robot_client.cli.commission import Probing, _commission
 from robot_client.cli.insert import with_commissioning
 from robot_client.session.commission.record import RECORD, Record, read_record
 from robot_client.session.commission.run import Ended
-from robot_client.session.commission.taught import CELL, teach
+from robot_client.session.commission.taught import CELL, lower_mm, teach
 from robot_client.settings import load_settings
 from tests.robot_client.insertion.stories import PLAN
 from tests.robot_client.session.test_commission import Cell
@@ -65,6 +65,14 @@ def test_the_approach_follows_the_tops_that_were_touched_less_what_is_late(tmp_p
     path = tmp_path / RECORD
     assert says in teach(given.tables(), PROBING_MM_S, record_of(below_mm, late), path)
     assert load_settings(tmp_path / CELL).task.approach_z_mm == z_mm
+
+
+def test_each_touch_is_less_what_is_late_at_its_own_speed():
+    """A cell that was told to descend more slowly was touched faster, and so was one met above the slow band."""
+    record, kept = record_of((1.5, 1.5, 1.0, 1.0)), []
+    for probe, touch_mm_s in zip(record.signs, (10.0, 10.0, 5.0, None), strict=True):
+        kept.append(probe.model_copy(update={"touch_mm_s": touch_mm_s}))
+    assert lower_mm(record.model_copy(update={"signs": tuple(kept)}), PROBING_MM_S) == pytest.approx(0.5)
 
 
 def test_the_taught_file_is_the_given_one_with_the_record_and_without_the_password(tmp_path, given, monkeypatch):
