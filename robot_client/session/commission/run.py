@@ -87,6 +87,10 @@ class Commissioning:
     press_at: Callable[[float, float, bool], Awaitable[Ended]] | None = None
     picture: Callable[[str, str], Awaitable[str]] | None = None
     _began_s: float = field(default_factory=time.monotonic)
+    _before_n: int = field(init=False)  # probes of earlier runs, which this one's time does not count
+
+    def __post_init__(self) -> None:
+        self._before_n = self.record.done_n
 
     async def run(self, probes_n: int) -> Record:
         """Wiring check first; if it fails nothing else is done. Its four probes and the presses are of ``probes_n``.
@@ -196,11 +200,12 @@ class Commissioning:
 
     def _left(self, probes_n: int) -> str:
         done_n = self.record.done_n
-        if done_n <= len(SIDES):
+        if (made_n := done_n - self._before_n) <= len(SIDES):
             return ""
-        left_s = (time.monotonic() - self._began_s) / done_n * (probes_n - done_n)
+        left_s = (time.monotonic() - self._began_s) / made_n * (probes_n - done_n)
         return f", {left_s / 60.0:.0f} min left" if left_s > 90.0 else ""
 
     def _keep(self, **changed: object) -> None:
-        self.record = self.record.model_copy(update=changed)
-        keep_record(self.path, self.record)
+        record = self.record.model_copy(update=changed)
+        keep_record(self.path, record)
+        self.record = record  # only now: what no disk has taken, no insertion will know

@@ -19,6 +19,7 @@ from robot_client.session.commission.record import Record, keep_record, read_rec
 from robot_client.session.commission.run import PRESSES, Commissioning, Ended, errors
 from robot_client.session.commission.wiring import SIDES, probe_of
 from service.contract import wire
+from service.contract.frames import ContractError
 from service.contract.words.wiring import WIRINGS
 from tests.robot_client.insertion.stories import (
     APPROACH,
@@ -180,6 +181,36 @@ def test_presses_count_among_the_probes_asked_for(tmp_path):
         *(f"press {n} of 4 at {grip} N" for n, grip in ((1, 40), (2, 40), (3, 20), (4, 20))),
         "probe 9 of 10",
     ]
+
+
+def test_the_time_left_is_told_by_the_probes_of_this_run(tmp_path, monkeypatch):
+    """Those of the day before took none of it."""
+    path, cell, shown, now_s = tmp_path / "record.toml", Cell(), [], 0.0
+
+    async def probe(x_mm, theta_deg):
+        nonlocal now_s
+        now_s += 15.0
+        return await cell.probe(x_mm, theta_deg)
+
+    monkeypatch.setattr(commission_run.time, "monotonic", lambda: now_s)
+    for total in (10, 30):
+        running = commissioning(cell, path, read_record(path))
+        running.probe, running.show = probe, shown.append
+        running._began_s = now_s
+        asyncio.run(running.run(total))
+    left = {line.partition(":")[0] for line in shown}
+    assert "probe 15 of 30" in left
+    assert "probe 16 of 30, 4 min left" in left, "15 of 15 s each"
+
+
+def test_what_a_full_disk_has_not_taken_is_not_counted(tmp_path):
+    path, cell = tmp_path / "record.toml", Cell()
+    record = asyncio.run(commissioning(cell, path).run(5))
+    path.with_suffix(".tmp").symlink_to("/dev/full")
+    running = commissioning(cell, path, record)
+    with pytest.raises(ContractError, match="the last probe is not in it"):
+        asyncio.run(running.run(6))
+    assert running.record.done_n == read_record(path).done_n == 5
 
 
 def test_no_record_has_all_signs_and_not_yet_their_mistakes(tmp_path, monkeypatch):
