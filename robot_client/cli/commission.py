@@ -21,7 +21,7 @@ from robot_client.session.cycle import CycleSettings, is_empty
 from robot_client.session.recorder import Recorder, check_takes_files
 from robot_client.session.runner import Runner, to_the_end
 from robot_client.session.stops import StopWatch
-from robot_client.settings import Settings, SettingsError
+from robot_client.settings import Settings, SettingsError, Task
 from service.contract import wire
 from service.contract.frames import Finger
 from service.contract.refusals import reason
@@ -54,8 +54,21 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
         record = Record(begun=begun, seed=seed, object=task.object, approach_z_mm=task.approach_z_mm)
     elif record.named:
         raise SettingsError(f"{path} names mistakes; mend them and remove it: {'; '.join(record.named)}")
+    else:
+        _check_goes_on(path, record, settings.task)
     show_steps(f"will, after it has opened the empty fingers to {taught.open_mm:g} mm:", steps)
     return asyncio.run(_commission(Probing(settings, taught, out), probes_n, path, record, grips_n))
+
+
+def _check_goes_on(path: Path, record: Record, task: Task) -> None:
+    """Raise SettingsError for another object, or another height amid the signs: the gap would be taught from both."""
+    if record.object != task.object:
+        which = f"{path} was begun with task.object = {record.object!r}, which is {task.object!r} now"
+        raise SettingsError(f"{which}: set it back, or name another folder (--out)")
+    begun_mm, signs_n = record.approach_z_mm, len(record.signs)
+    if begun_mm is not None and signs_n < len(SIDES) and begun_mm != task.approach_z_mm:
+        which = f"{path} was begun with task.approach_z_mm = {begun_mm:g}, which is {task.approach_z_mm:g} now"
+        raise SettingsError(f"{which}, and its {len(SIDES)} signs are not complete: set it back, or begin anew")
 
 
 def grips_of(settings: Settings, *, one_grip: bool) -> list[float | None]:
