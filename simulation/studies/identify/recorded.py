@@ -20,7 +20,8 @@ GRIPS_APART = (1.8, 2.2)
 """Ratio of the firmer to the lighter grip."""
 WIDTH_MM, DEPTH_MM = (40.0, 110.0), (40.0, 100.0)
 """Least size of the pressing rectangle: its faces cover the pads, and turned it lies on both sides of its gap."""
-AT_MM, AT_DEG = 0.5, 1.0  # tolerance of the start of a press or of a wiring probe
+AT_MM, AT_DEG = 1e-3, 1e-3
+"""Tolerance of the start of a press or of a wiring probe: probes to learn from begin nearby, and are neither."""
 
 
 class Sorted(NamedTuple):

@@ -5,7 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from service.contract import ContractError
+from robot_client.session.commission.run import PRESSES
+from robot_client.session.commission.wiring import SIDES
+from service.contract import ContractError, Sensor
+from service.contract.model_card import CONDITIONS
 from service.contract.shipped import released_models
 from simulation.__main__ import main
 from simulation.scene.worlds import load_world
@@ -103,6 +106,26 @@ def test_presses_that_do_not_tell_are_refused_by_name(played):
             recorded.sorted_out(probes.signs, presses)
     with pytest.raises(ContractError, match="no probe for signs"):
         recorded.read(folder / "00")
+
+
+def test_a_probe_to_learn_from_that_begins_near_a_press_is_none(tmp_path):
+    """It is stopped long before the gel slides, and three of four seeds of 150 probes draw none so near."""
+    sensor = Sensor.load()
+    held = np.zeros((2, sensor.marker_rows, sensor.marker_columns, 2))
+    begun = [*((40.0, start) for start in SIDES), *((grip, start) for grip in (40.0, 20.0) for start in PRESSES)]
+    for number, (grip_n, (x_mm, yaw_deg)) in enumerate([*begun, (40.0, (0.3, 14.6)), (40.0, (-7.71, 7.8))]):
+        folder = tmp_path / f"{number:02d}"
+        folder.mkdir()
+        approach = {"x_mm": x_mm, "yaw_deg": yaw_deg}
+        (folder / "summary.json").write_text(json.dumps({"purpose": "probe", "approach": approach}))
+        conditions = [grip_n if name == "grip_n" else 5.0 for name in CONDITIONS]
+        np.savez(folder / "attempt_01.npz", steps=np.zeros((5, 2, 13, 13, 3)), held_px=held, conditions=conditions)
+    probes = recorded.read(tmp_path)
+    assert [(one.x_mm, one.yaw_deg) for one in probes.signs] == [*SIDES]
+    assert {grip: [(one.x_mm, one.yaw_deg) for one in made] for grip, made in probes.presses.items()} == {
+        40.0: [*PRESSES],
+        20.0: [*PRESSES],
+    }
 
 
 def test_cells_press_again_where_the_code_that_played_them_has_changed(tmp_path, monkeypatch):
