@@ -108,8 +108,8 @@ async def _commissioned(settings: Settings) -> list[Finding]:
     return [Finding(True, f"commissioned; pictures and arm are late by at most {1e3 * late_s:.0f} ms: {lasts}")]
 
 
-async def _service(settings: Settings) -> list[Finding]:
-    """Connect as a watcher, which can drive nothing."""
+async def hello_of(settings: Settings) -> wire.ServiceHello:
+    """The service's hello to a watcher, who can drive nothing; raises DriverError, TimeoutError."""
     link = ServiceLink(settings.service, "check")
     answers: asyncio.Queue[Event] = asyncio.Queue()
     await link.start(answers.put_nowait)
@@ -122,7 +122,11 @@ async def _service(settings: Settings) -> list[Finding]:
         raise DriverError(f"{answer.code}: {answer.detail}")
     if not isinstance(answer, FromService) or not isinstance(answer.message, wire.ServiceHello):
         raise DriverError(f"answered {answer}, expected its hello")
-    hello = answer.message
+    return answer.message
+
+
+async def _service(settings: Settings) -> list[Finding]:
+    hello = await hello_of(settings)
     known = settings.service.token() is not None
     return [
         Finding(known, "token for driving found" if known else f"no token for driving: {NO_TOKEN}"),

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from robot_client.cli.check import hello_of
 from robot_client.cli.insert import fixture_of, live_ports, make_plan
 from robot_client.cli.terminal import Outcome, rehearsed, show, show_steps, stop_on_signals, warning
 from robot_client.insertion.events import Event, FromService
@@ -164,6 +165,13 @@ class Probing:
         text = teach(self._settings.tables(), self._settings.ramps.descend.speed_mm_s, record, path)
         show(f"{text}; `insert --live --config {path.with_name(CELL)}` reads that")
 
+    async def gels(self) -> dict[Finger, str]:
+        """Those of the service now, by its names; raises DriverError if it does not answer."""
+        try:
+            return {camera.finger: camera.gel for camera in (await hello_of(self._settings)).cameras}
+        except TimeoutError:
+            raise DriverError(f"service: {self._settings.service.url} has not answered in time") from None
+
     async def allowed(self, grips_n: Sequence[float | None]) -> list[float | None]:
         """Those of the grips that the gripper allows; says which it does not. Moves nothing, raises DriverError."""
         kept = list(grips_n)
@@ -235,6 +243,8 @@ async def _commission(
     probing.late_s = lambda: running.record.late_s
     why = ""
     try:
+        if record.gels:  # also where no probe is left to notice another one
+            running.check_gels(await probing.gels(), "before any probe")
         await probing.begin()
         running.grips_n = await probing.allowed(grips_n)
         record = await running.run(probes_n)

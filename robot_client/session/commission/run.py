@@ -193,10 +193,14 @@ class Commissioning:
         """The same, if the probe was carried out on the gels of the ones before; raises DriverError."""
         if ended.phase is not Phase.PROBED:
             raise DriverError(f"{title}: {ended.reason}")
-        if ended.gels != (self.record.gels or ended.gels):
-            raise DriverError(f"{title}: a gel was changed or calibrated again; remove {self.path} and begin anew")
+        self.check_gels(ended.gels, title)
         self.record = self.record.model_copy(update={"gels": ended.gels})
         return ended
+
+    def check_gels(self, gels: dict[Finger, str], title: str) -> None:
+        """Raise DriverError if these are not the gels of the probes before."""
+        if gels != (self.record.gels or gels):
+            raise DriverError(f"{title}: a gel was changed or calibrated again; remove {self.path} and begin anew")
 
     def _left(self, probes_n: int) -> str:
         done_n = self.record.done_n

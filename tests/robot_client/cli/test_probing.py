@@ -1,12 +1,10 @@
 """A probe of `commission` on the configured devices: fingers that are open on the way down, the lease, the timing."""
 
 import asyncio
-import contextlib
 from types import SimpleNamespace
 
 import pytest
 
-from robot_client.cli import commission as cli
 from robot_client.cli.commission import Probing, _commission, grips_of, with_grip
 from robot_client.grippers.dry_run.driver import DryGripper
 from robot_client.grippers.dry_run.driver import Settings as DryGripperSettings
@@ -23,12 +21,11 @@ from robot_client.session.commission.run import Ended
 from robot_client.session.commission.wiring import probe_of
 from robot_client.session.cycle import CycleSettings
 from robot_client.session.travel import Errands
-from robot_client.settings import Settings, SettingsError, Task
+from robot_client.settings import Settings, Task
 from service.contract import wire
 from tests.robot_client.insertion.stories import APPROACH, ID, PLAN, TO_DESCENT, at, run, service
 from tests.robot_client.live_cell import Part, bench, undisturbed
 from tests.robot_client.session.test_lateness import SLIPPED
-from tests.robot_client.session.test_wiring import answers
 
 REAL = Settings(cycle=CycleSettings(pick=WorkPose(x_mm=-20.0, y_mm=5.0, z_mm=45.0, yaw_deg=0.0), open_mm=80.0))
 
@@ -99,32 +96,6 @@ def test_fingers_that_hold_something_go_nowhere(tmp_path, monkeypatch, width_mm,
     with pytest.raises(DriverError, match="holds something"):
         fetched(fingers, tmp_path)
     assert fingers.is_mm == width_mm
-
-
-@pytest.mark.parametrize(
-    ("changed", "signs_n", "says"),
-    [
-        ({"object": "tin"}, 4, "begun with task.object = 'soap', which is 'tin' now: set it back, or name another"),
-        ({"approach_z_mm": 33.0}, 1, "task.approach_z_mm = 35, which is 33 now, and its 4 signs are not complete"),
-        ({"approach_z_mm": 33.0}, 4, None),
-        ({}, 1, None),
-    ],
-)
-def test_a_record_goes_on_with_its_object_and_until_the_signs_are_complete_at_its_height(
-    tmp_path, monkeypatch, changed, signs_n, says
-):
-    """Else the second object, or the height of the second day, would be taught from what the first was."""
-    began, record = [], Record(begun="today", seed=0, object="soap", approach_z_mm=35.0)
-    keep_record(tmp_path / RECORD, record.model_copy(update={"signs": tuple(answers())[:signs_n]}))
-
-    async def begins(*asked):
-        began.append(asked)
-
-    monkeypatch.setattr(cli, "_commission", begins)
-    settings = REAL.model_copy(update={"task": Task(**{"object": "soap", "approach_z_mm": 35.0} | changed)})
-    with pytest.raises(SettingsError, match=says) if says else contextlib.nullcontext():
-        cli.commission(settings, live=True, probes_n=8, seed=0, out=tmp_path, one_grip=True)
-    assert bool(began) == (says is None)
 
 
 @pytest.mark.parametrize("begun_before", [False, True])

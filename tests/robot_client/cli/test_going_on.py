@@ -1,0 +1,72 @@
+"""A commissioning that goes on with a record: only of its object, at its height, and with its gels."""
+
+import asyncio
+import contextlib
+
+import pytest
+
+from robot_client.cli import commission as cli
+from robot_client.cli.commission import Probing, _commission
+from robot_client.ports import DriverError
+from robot_client.session.commission.record import RECORD, Record, keep_record
+from robot_client.settings import SettingsError, Task
+from tests.robot_client.cli.test_probing import REAL
+from tests.robot_client.insertion.stories import hello, service
+from tests.robot_client.session.test_commission import camera
+from tests.robot_client.session.test_wiring import answers
+
+
+@pytest.mark.parametrize(
+    ("changed", "signs_n", "says"),
+    [
+        ({"object": "tin"}, 4, "begun with task.object = 'soap', which is 'tin' now: set it back, or name another"),
+        ({"approach_z_mm": 33.0}, 1, "task.approach_z_mm = 35, which is 33 now, and its 4 signs are not complete"),
+        ({"approach_z_mm": 33.0}, 4, None),
+        ({}, 1, None),
+    ],
+)
+def test_a_record_goes_on_with_its_object_and_until_the_signs_are_complete_at_its_height(
+    tmp_path, monkeypatch, changed, signs_n, says
+):
+    """Else the second object, or the height of the second day, would be taught from what the first was."""
+    began, record = [], Record(begun="today", seed=0, object="soap", approach_z_mm=35.0)
+    keep_record(tmp_path / RECORD, record.model_copy(update={"signs": tuple(answers())[:signs_n]}))
+
+    async def begins(*asked):
+        began.append(asked)
+
+    monkeypatch.setattr(cli, "_commission", begins)
+    settings = REAL.model_copy(update={"task": Task(**{"object": "soap", "approach_z_mm": 35.0} | changed)})
+    with pytest.raises(SettingsError, match=says) if says else contextlib.nullcontext():
+        cli.commission(settings, live=True, probes_n=8, seed=0, out=tmp_path, one_grip=True)
+    assert bool(began) == (says is None)
+
+
+@pytest.mark.parametrize(("gel", "begins"), [("a", True), ("z", False)])
+def test_a_whole_record_of_other_gels_is_not_taken_for_theirs(tmp_path, monkeypatch, gel, begins):
+    """`insert` refuses it and says to commission again, where no probe would be left to make."""
+    began, commissioned = [], {"left": "a"}
+
+    class Link:
+        def __init__(self, *_about):
+            pass
+
+        async def start(self, post):
+            self.post = post
+
+        def send(self, _hello):
+            self.post(service(hello(cameras=(camera(gel),))))
+
+        async def close(self):
+            pass
+
+    async def begin(_probing):
+        began.append(True)
+        raise DriverError("so far")
+
+    monkeypatch.setattr("robot_client.cli.check.ServiceLink", Link)
+    monkeypatch.setattr(Probing, "begin", begin)
+    record = Record(begun="today", seed=0, signs=tuple(answers()), gels=commissioned)
+    ended = asyncio.run(_commission(Probing(REAL, REAL.cycle, tmp_path), 4, tmp_path / RECORD, record, [None]))
+    assert (bool(began), ended.done) == (begins, False)
+    assert begins or "a gel was changed or calibrated again" in ended.result["reason"]
