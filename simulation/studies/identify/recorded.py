@@ -43,13 +43,18 @@ class Sorted(NamedTuple):
 
 
 def read(folder: Path) -> Sorted:
-    """The probes below ``folder``. Raises ContractError if they cannot identify a gel."""
-    touches = [one for path in sorted(folder.glob("*/summary.json")) for one in _touches(path)]
-    signs = [one for one in touches if _begins(one, SIDES)]
-    signs = [one for one in signs if one.grip_n == signs[0].grip_n]  # those of a second commissioning add nothing
+    """The probes of the newest commissioning below ``folder``. Raises ContractError if they cannot identify a gel."""
+    touches = list[Touch]()
+    for path in sorted(folder.glob("*/summary.json")):
+        start, touched = _probed(path)
+        if _begins(start, SIDES[:1]):  # the first probe of a commissioning: those before may be of another gel
+            touches.clear()
+        touches += touched
+    signs = [one for one in touches if _begins((one.x_mm, one.yaw_deg), SIDES)]
+    signs = [one for one in signs if one.grip_n == signs[0].grip_n]
     presses = defaultdict[float, list[Touch]](list)
     for one in touches:
-        if _begins(one, PRESSES):
+        if _begins((one.x_mm, one.yaw_deg), PRESSES):
             presses[one.grip_n].append(one)
     return sorted_out(signs, presses)
 
@@ -77,22 +82,25 @@ def sorted_out(signs: Sequence[Touch], presses: Mapping[float, Sequence[Touch]])
     return Sorted(signs, {grip: presses[grip] for grip in grips})
 
 
-def _begins(touch: Touch, places: Sequence[tuple[float, float]]) -> bool:
-    return any(abs(touch.x_mm - x) < AT_MM and abs(touch.yaw_deg - yaw) < AT_DEG for x, yaw in places)
+def _begins(start: tuple[float, float] | None, places: Sequence[tuple[float, float]]) -> bool:
+    return start is not None and any(abs(start[0] - x) < AT_MM and abs(start[1] - yaw) < AT_DEG for x, yaw in places)
 
 
-def _touches(summary: Path) -> list[Touch]:
-    """The observations of a probe; empty if it touched nothing, or was no probe."""
+def _probed(summary: Path) -> tuple[tuple[float, float] | None, list[Touch]]:
+    """The start of a probe, None of what was none; and its observations, none if it touched nothing."""
     try:
         content = json.loads(summary.read_text(encoding="utf-8"))
-        if content.get("purpose") != "probe" or not (path := summary.with_name("attempt_01.npz")).exists():
-            return []
+        if content.get("purpose") != "probe":
+            return None, []
+        x_mm, yaw_deg = float(content["approach"]["x_mm"]), float(content["approach"]["yaw_deg"])
+        if not (path := summary.with_name("attempt_01.npz")).exists():
+            return (x_mm, yaw_deg), []
         with np.load(path) as stored:
             if "held_px" not in stored.files:
-                return []
+                return (x_mm, yaw_deg), []
             steps, held = stored["steps"].astype(np.float64), stored["held_px"].astype(np.float64)
             conditions = dict(zip(CONDITIONS, map(float, stored["conditions"]), strict=True))
-        x_mm, yaw_deg = float(content["approach"]["x_mm"]), float(content["approach"]["yaw_deg"])
-        return [Touch(x_mm, yaw_deg, conditions["grip_n"], conditions["speed_mm_s"], steps, held)]
+        touch = Touch(x_mm, yaw_deg, conditions["grip_n"], conditions["speed_mm_s"], steps, held)
+        return (x_mm, yaw_deg), [touch]
     except (OSError, ValueError, KeyError) as error:
         raise ContractError(f"{summary.parent} is no recording of a probe: {error}") from error
