@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from robot_client.session.commission.run import PRESSES
+from robot_client.session.commission.run import PRESSES, STALE
 from robot_client.session.commission.wiring import SIDES
 from service.contract import ContractError, Sensor
 from service.contract.model_card import CONDITIONS
@@ -96,8 +96,8 @@ def _probed(summary: Path) -> tuple[tuple[float, float] | None, list[Touch]]:
         if not (path := summary.with_name("attempt_01.npz")).exists():
             return (x_mm, yaw_deg), []
         with np.load(path) as stored:
-            if "held_px" not in stored.files:
-                return (x_mm, yaw_deg), []
+            if "held_px" not in stored.files or json.loads(str(stored["decision"])).get("reason") == STALE:
+                return (x_mm, yaw_deg), []  # of a paused press the depths are not known; it was made again
             steps, held = stored["steps"].astype(np.float64), stored["held_px"].astype(np.float64)
             conditions = dict(zip(CONDITIONS, map(float, stored["conditions"]), strict=True))
         touch = Touch(x_mm, yaw_deg, conditions["grip_n"], conditions["speed_mm_s"], steps, held)

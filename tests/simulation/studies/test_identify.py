@@ -14,6 +14,7 @@ from simulation.__main__ import main
 from simulation.scene.worlds import load_world
 from simulation.studies.identify import posterior, recorded, study
 from simulation.studies.identify.cells import Cell, pressed, second_grip_n
+from tests.robot_client.insertion.stories import no_decision
 from tests.simulation.data.test_sources import as_if_changed
 
 CELL = 5
@@ -111,7 +112,7 @@ def test_presses_that_do_not_tell_are_refused_by_name(played):
 BEGUN = [*((40.0, start) for start in SIDES), *((grip, start) for grip in (40.0, 20.0) for start in PRESSES)]
 
 
-def recordings_of(root, probes, held_px=0.0):
+def recordings_of(root, probes, held_px=0.0, decision="{}"):
     """Recordings of probes of these grips and starts, after those that are there."""
     sensor, before_n = Sensor.load(), len([*root.iterdir()])
     held = np.full((2, sensor.marker_rows, sensor.marker_columns, 2), held_px)
@@ -121,7 +122,8 @@ def recordings_of(root, probes, held_px=0.0):
         approach = {"x_mm": x_mm, "yaw_deg": yaw_deg}
         (folder / "summary.json").write_text(json.dumps({"purpose": "probe", "approach": approach}))
         conditions = [grip_n if name == "grip_n" else 5.0 for name in CONDITIONS]
-        np.savez(folder / "attempt_01.npz", steps=np.zeros((5, 2, 13, 13, 3)), held_px=held, conditions=conditions)
+        arrays = {"held_px": held, "conditions": conditions, "decision": decision}
+        np.savez(folder / "attempt_01.npz", steps=np.zeros((5, 2, 13, 13, 3)), **arrays)
 
 
 def test_a_probe_to_learn_from_that_begins_near_a_press_is_none(tmp_path):
@@ -130,6 +132,14 @@ def test_a_probe_to_learn_from_that_begins_near_a_press_is_none(tmp_path):
     probes = recorded.read(tmp_path)
     assert [(one.x_mm, one.yaw_deg) for one in probes.signs] == [*SIDES]
     assert [(grip, len(made)) for grip, made in probes.presses.items()] == [(40.0, 2), (20.0, 2)]
+
+
+def test_a_press_in_which_the_arm_paused_tells_nothing_of_the_gel(tmp_path):
+    """`commission` makes it again for that."""
+    recordings_of(tmp_path, BEGUN[:6])
+    recordings_of(tmp_path, BEGUN[6:7], held_px=1.0, decision=no_decision(1, "stale").model_dump_json())
+    recordings_of(tmp_path, BEGUN[6:])
+    assert [float(one.markers_px.mean()) for one in recorded.read(tmp_path).presses[20.0]] == [0.0, 0.0]
 
 
 def test_only_the_newest_commissioning_identifies_a_gel(tmp_path):
