@@ -102,6 +102,15 @@ def test_what_watches_starts_with_the_machine_and_what_moves_does_not():
     }
 
 
+def test_kubernetes_restarts_a_service_for_its_own_sake_only():
+    """What is killed while it is not ready would end again and again for a camera that is unplugged at its start."""
+    documents = yaml.safe_load_all((DOCKER / "kubernetes" / "cell.yaml").read_text())
+    (pod,) = (one["spec"]["template"]["spec"] for one in documents if one["kind"] == "Deployment")
+    (service,) = pod["containers"]
+    asks = {probe: service[f"{probe}Probe"]["exec"]["command"][-1] for probe in ("startup", "liveness", "readiness")}
+    assert asks == {"startup": "/healthz", "liveness": "/healthz", "readiness": "/readyz"}
+
+
 class _Answer(http.server.BaseHTTPRequestHandler):
     def do_GET(self):
         self.send_response(200 if self.path == "/readyz" else 503)
