@@ -93,6 +93,14 @@ def test_a_bundle_holds_the_page_that_its_unit_points_to():
     assert {"docker/prometheus", "docker/grafana"} <= set(given.split())  # which docs/deployment.md names
 
 
+def test_a_camera_that_is_plugged_in_after_the_start_may_be_opened():
+    """Its group of devices is allowed by name, which the kernel has only once the module is loaded."""
+    unit = UNIT.read_text()
+    assert "DeviceAllow=char-video4linux rw" in unit
+    for order in ("After", "Wants"):
+        assert "modprobe@videodev.service" in re.search(rf"^{order}=(.*)$", unit, re.MULTILINE)[1].split()
+
+
 def test_what_watches_starts_with_the_machine_and_what_moves_does_not():
     """At boot podman starts those that restart always, and no others; docker would start those unless stopped, too."""
     started = yaml.safe_load((DOCKER / "compose.yaml").read_text())["services"]
