@@ -113,10 +113,14 @@ def test_what_watches_starts_with_the_machine_and_what_moves_does_not():
 def test_kubernetes_restarts_a_service_for_its_own_sake_only():
     """What is killed while it is not ready would end again and again for a camera that is unplugged at its start."""
     documents = yaml.safe_load_all((DOCKER / "kubernetes" / "cell.yaml").read_text())
-    (pod,) = (one["spec"]["template"]["spec"] for one in documents if one["kind"] == "Deployment")
-    (service,) = pod["containers"]
+    (service,) = next(one for one in documents if one["kind"] == "Deployment")["spec"]["template"]["spec"]["containers"]
     asks = {probe: service[f"{probe}Probe"]["exec"]["command"][-1] for probe in ("startup", "liveness", "readiness")}
     assert asks == {"startup": "/healthz", "liveness": "/healthz", "readiness": "/readyz"}
+
+
+def test_no_log_fills_the_disk_that_the_recordings_need():
+    started = yaml.safe_load((DOCKER / "compose.yaml").read_text())["services"]
+    assert [name for name, one in started.items() if "max-size" not in one.get("logging", {}).get("options", {})] == []
 
 
 class _Answer(http.server.BaseHTTPRequestHandler):
