@@ -118,6 +118,13 @@ def test_kubernetes_restarts_a_service_for_its_own_sake_only():
     assert asks == {"startup": "/healthz", "liveness": "/healthz", "readiness": "/readyz"}
 
 
+def test_kubernetes_promises_no_metrics_where_nobody_listens():
+    """Prometheus would ask the pod's address, which is the machine's, and the service listens on loopback."""
+    configuration, *_, deployed = yaml.safe_load_all((DOCKER / "kubernetes" / "cell.yaml").read_text())
+    assert "TACTILE_HOST" not in configuration["data"]
+    assert "annotations" not in deployed["spec"]["template"]["metadata"]
+
+
 def test_no_log_fills_the_disk_that_the_recordings_need():
     started = yaml.safe_load((DOCKER / "compose.yaml").read_text())["services"]
     assert [name for name, one in started.items() if "max-size" not in one.get("logging", {}).get("options", {})] == []
