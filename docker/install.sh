@@ -12,6 +12,7 @@ while [ $# -gt 0 ]; do
     *) echo "install: unknown option $1, expected --prefix DIR or --no-systemd" >&2; exit 2 ;;
   esac
 done
+case $prefix in /*) ;; *) prefix=$PWD/$prefix ;; esac  # the unit takes nothing else
 cd "$(dirname "$0")"
 sha256sum --check --quiet SHA256SUMS || { echo "install: the bundle is damaged, nothing was installed" >&2; exit 2; }
 python3 -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "install: Python 3.11 or newer is needed" >&2; exit 2; }
@@ -22,14 +23,17 @@ chmod -R go+rX "$prefix/app.new"  # it may have been unpacked under another umas
 # Two folders, renamed at the end: a failed installation leaves the running version as it was.
 python3 -m venv "$prefix/venv.new"
 "$prefix/venv.new/bin/python" -m pip install -q --no-index --find-links wheels --require-hashes --no-deps -r app/requirements/run.txt
+"$prefix/venv.new/bin/python" -m compileall -q "$prefix/app.new"
 for part in app venv; do
   rm -rf "$prefix/$part.old"
   [ ! -e "$prefix/$part" ] || mv "$prefix/$part" "$prefix/$part.old"
   mv "$prefix/$part.new" "$prefix/$part"
 done
-"$prefix/venv/bin/python" -m compileall -q "$prefix/app"
 if [ "$units" = yes ]; then
   id tactile >/dev/null 2>&1 || useradd --system --home-dir /var/lib/tactile-insertion --shell /usr/sbin/nologin tactile
+  # To go back takes the old unit, too: the new one may name folders that the old version does not have.
+  [ ! -e /etc/systemd/system/tactile-insertion@.service ] \
+    || cp /etc/systemd/system/tactile-insertion@.service "$prefix/tactile-insertion@.service.old"
   sed "s#/opt/tactile-insertion#$prefix#g" tactile-insertion@.service >"$prefix/tactile-insertion@.service"
   install -D -m 644 "$prefix/tactile-insertion@.service" /etc/systemd/system/tactile-insertion@.service
   install -d -m 755 /etc/tactile-insertion

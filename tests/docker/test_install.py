@@ -30,15 +30,19 @@ def bundle(tmp_path: Path) -> Path:
     return bundle
 
 
-def installed(bundle: Path) -> list[str]:
-    """Install it; the changes that it asked of the machine, each with the version installed at that moment."""
+def installed(bundle: Path, typed: str = "") -> list[str]:
+    """Install it; the changes that it asked of the machine, each with the version installed at that moment.
+
+    ``typed``: the folder as it is typed, if not in full.
+    """
     home = bundle.parent
     for command in ("systemctl", "useradd", "install", "id"):
         (home / command).write_text(NOTE)
         (home / command).chmod(0o755)
     calls, prefix = home / "calls", home / "prefix"
     paths = {"PATH": f"{home}:{os.environ['PATH']}", "CALLS": str(calls), "PREFIX": str(prefix)}
-    subprocess.run(["sh", bundle / "install.sh", "--prefix", prefix], env=os.environ | paths, check=True)
+    command = ["sh", bundle / "install.sh", "--prefix", typed or prefix]
+    subprocess.run(command, env=os.environ | paths, cwd=home, check=True)
     return calls.read_text().splitlines()
 
 
@@ -48,13 +52,32 @@ def test_an_upgrade_restarts_the_services_that_run_once_the_new_version_lies_the
     assert (bundle.parent / "prefix" / "app.old" / "version").read_text() == "old"
 
 
-def test_the_unit_runs_what_was_installed_wherever_that_is(bundle: Path) -> None:
+@pytest.mark.parametrize("typed", ["", "prefix"])
+def test_the_unit_runs_what_was_installed_wherever_that_is(bundle: Path, typed: str) -> None:
     prefix = bundle.parent / "prefix"
-    calls = installed(bundle)
+    calls = installed(bundle, typed)
     unit = (prefix / UNIT).read_text()
     assert f"install -D -m 644 {prefix / UNIT} /etc/systemd/system/{UNIT} [new]" in calls
     assert f"ExecStart={prefix}/venv/bin/python -m service run" in unit
     assert "/opt/" not in unit
+
+
+def test_the_old_version_is_kept_with_its_own_unit(bundle: Path) -> None:
+    """A new unit may name folders that the old version does not have: the way back would end at its start."""
+    units = bundle.parent / "etc" / "systemd" / "system"
+    units.mkdir(parents=True)
+    (units / UNIT).write_text("old")
+    script = bundle / "install.sh"
+    script.write_text(script.read_text().replace(" /etc/", f" {bundle.parent}/etc/"))
+    installed(bundle)
+    assert (bundle.parent / "prefix" / f"{UNIT}.old").read_text() == "old"
+
+
+def test_what_cannot_be_compiled_as_on_a_full_disk_leaves_the_running_version(bundle: Path) -> None:
+    (bundle / "app" / "broken.py").write_text("(")
+    with pytest.raises(subprocess.CalledProcessError):
+        installed(bundle)
+    assert (bundle.parent / "prefix" / "app" / "version").read_text() == "old"
 
 
 def test_what_a_hardened_machine_installs_can_be_read_by_the_user_of_the_service(bundle: Path) -> None:
