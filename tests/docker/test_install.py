@@ -2,14 +2,17 @@
 
 import hashlib
 import os
+import re
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.docs.commands import ROOT
 
 UNIT = "tactile-insertion@.service"
+PAGE = ROOT / "docs" / "deployment.md"
 NOTE = '#!/bin/sh\necho "$(basename "$0") $* [$(cat "$PREFIX/app/version")]" >>"$CALLS"\n'
 
 
@@ -25,7 +28,8 @@ def bundle(tmp_path: Path) -> Path:
     sums = [f"{hashlib.sha256(text.encode()).hexdigest()}  {name}\n" for name, text in files.items()]
     (bundle / "SHA256SUMS").write_text("".join(sums))
     (bundle / "install.sh").write_bytes((ROOT / "docker" / "install.sh").read_bytes())
-    (tmp_path / "prefix" / "app").mkdir(parents=True)
+    (tmp_path / "prefix" / "venv").mkdir(parents=True)
+    (tmp_path / "prefix" / "app").mkdir()
     (tmp_path / "prefix" / "app" / "version").write_text("old")
     return bundle
 
@@ -39,11 +43,14 @@ def installed(bundle: Path, typed: str = "") -> list[str]:
     for command in ("systemctl", "useradd", "install", "id"):
         (home / command).write_text(NOTE)
         (home / command).chmod(0o755)
-    calls, prefix = home / "calls", home / "prefix"
-    paths = {"PATH": f"{home}:{os.environ['PATH']}", "CALLS": str(calls), "PREFIX": str(prefix)}
-    command = ["sh", bundle / "install.sh", "--prefix", typed or prefix]
-    subprocess.run(command, env=os.environ | paths, cwd=home, check=True)
-    return calls.read_text().splitlines()
+    subprocess.run(["sh", bundle / "install.sh", "--prefix", typed or home / "prefix"], **noted(home), check=True)
+    return (home / "calls").read_text().splitlines()
+
+
+def noted(home: Path) -> dict[str, Any]:
+    """Where a command runs whose changes to the machine are to be written down."""
+    paths = {"PATH": f"{home}:{os.environ['PATH']}", "CALLS": str(home / "calls"), "PREFIX": str(home / "prefix")}
+    return {"env": os.environ | paths, "cwd": home}
 
 
 def test_an_upgrade_restarts_the_services_that_run_once_the_new_version_lies_there(bundle: Path) -> None:
@@ -62,15 +69,25 @@ def test_the_unit_runs_what_was_installed_wherever_that_is(bundle: Path, typed: 
     assert "/opt/" not in unit
 
 
-def test_the_old_version_is_kept_with_its_own_unit(bundle: Path) -> None:
-    """A new unit may name folders that the old version does not have: the way back would end at its start."""
+def test_the_way_back_on_the_page_brings_the_old_version_with_its_own_unit(bundle: Path) -> None:
+    """A new unit may name folders that the old version does not have: its start would fail."""
     units = bundle.parent / "etc" / "systemd" / "system"
     units.mkdir(parents=True)
     (units / UNIT).write_text("old")
     script = bundle / "install.sh"
     script.write_text(script.read_text().replace(" /etc/", f" {bundle.parent}/etc/"))
     installed(bundle)
-    assert (bundle.parent / "prefix" / f"{UNIT}.old").read_text() == "old"
+    prefix = bundle.parent / "prefix"
+    assert (prefix / f"{UNIT}.old").read_text() == "old"
+    way = re.findall(r"```sh\n(cd /opt/tactile-insertion\n.*?)```", PAGE.read_text(), re.DOTALL)[-1]
+    way = way.replace("sudo ", "").replace("/opt/tactile-insertion", str(prefix))
+    subprocess.run(["sh", "-e", "-c", way], **noted(bundle.parent), check=True)
+    calls = (bundle.parent / "calls").read_text().splitlines()
+    assert calls[-3:] == [
+        f"install -m 644 {UNIT}.old /etc/systemd/system/{UNIT} [old]",
+        "systemctl daemon-reload [old]",
+        "systemctl restart tactile-insertion@cell-a [old]",
+    ]
 
 
 def test_what_cannot_be_compiled_as_on_a_full_disk_leaves_the_running_version(bundle: Path) -> None:
