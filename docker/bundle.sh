@@ -10,9 +10,10 @@ name=tactile-insertion-$version-$tag
 work=$out/$name
 rm -rf "$work"
 mkdir -p "$work/app" "$work/wheels"
-"$python" -m pip download -q --require-hashes --no-deps --only-binary :all: -r requirements/run.txt -d "$work/wheels"
 git archive HEAD service robot_client simulation reporting tactile_insertion models requirements/run.txt pyproject.toml LICENSE \
   docker/healthcheck.py docker/prometheus docker/grafana README.md CHANGELOG.md CONTRIBUTING.md SECURITY.md docs examples | tar -x -C "$work/app"
+# The pins that the installer will read: those of the working tree may be others.
+"$python" -m pip download -q --require-hashes --no-deps --only-binary :all: -r "$work/app/requirements/run.txt" -d "$work/wheels"
 cp docker/systemd/* docker/install.sh "$work/"
 chmod +x "$work/install.sh"
 (cd "$work" && find . -type f ! -name SHA256SUMS -print0 | sort -z | xargs -0 sha256sum > SHA256SUMS)
