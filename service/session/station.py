@@ -56,12 +56,12 @@ class Station:
         self.hub = Hub()
         self.counters = Counters()
         self.pairer = Pairer()
-        rate_hz = settings.frame_rate_hz or models.card.profile.fps
+        self.expected_hz = settings.frame_rate_hz or models.card.profile.fps
         urls = {"left": settings.camera_left, "right": settings.camera_right}
         self.cameras: dict[Finger, Camera] = {
             finger: Camera(
                 finger,
-                open_source(urls[finger], frame_rate_hz=rate_hz),
+                open_source(urls[finger], frame_rate_hz=self.expected_hz),
                 self._on_camera_frame,
                 self._on_camera_fault,
                 self._attends,

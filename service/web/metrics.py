@@ -35,15 +35,13 @@ class Metrics:
         self._messages = Counter("messages", "Messages to clients", ["type"], **make)
         self._refusals = Counter("no_decisions", "Attempts without a correction", ["reason"], **make)
         self._finished = Counter("insertions", "Insertions by outcome and cause", ["outcome", "cause"], **make)
-        for cause in get_args(wire.Cause):  # a series that begins at its first event hides that event from increase()
-            self._finished.labels(ending(cause), cause)
-        self._finished.labels("inserted", NO_CAUSE)
         self._refused = Counter("clients_refused", "Clients that could open no insertion, by why", ["code"], **make)
         Gauge("start_time_seconds", "When the service started, Unix time", **make).set(time.time())
         self._faults = Counter("camera_faults", "Camera faults", ["finger", "code"], **make)
         self._slip_age = Histogram("slip_age_seconds", "Capture to stop message", buckets=_STAGE_BUCKETS, **make)
         self._result_age = Histogram("result_age_seconds", "Capture to slip judgement", buckets=_STAGE_BUCKETS, **make)
         age = Gauge("frame_age_seconds", "Age of the newest frame", ["finger"], **make)
+        expected = Gauge("frames_expected_hz", "Frames a second of the setting, else of the sensor", ["finger"], **make)
         dropped = Gauge("frames_dropped", "Frames dropped by backlog", **make)
         unpaired = Gauge("frames_unpaired", "Frames without a partner in time", **make)
         caught = Gauge("internal_errors", "Errors caught inside the service, each with a log line", ["where"], **make)
@@ -63,6 +61,7 @@ class Metrics:
         ready = Gauge("ready", "1 if models are warm and cameras live", **make)
         for finger in station.cameras:
             age.labels(finger).set_function(partial(self._age_s, finger))
+            expected.labels(finger).set(station.expected_hz)
         dropped.set_function(lambda: station.counters.frames_dropped_n)
         unpaired.set_function(lambda: station.pairer.dropped_n)
         caught.labels("perception").set_function(lambda: station.counters.perception_errors_n)
@@ -78,6 +77,9 @@ class Metrics:
 
     def _begin_series(self) -> None:
         """Series that alerts read begin at 0: a worn gel gives no correction, and nothing is divided by no series."""
+        for cause in get_args(wire.Cause):  # a series that begins at its first event hides that event from increase()
+            self._finished.labels(ending(cause), cause)
+        self._finished.labels("inserted", NO_CAUSE)
         for code in TURNED_AWAY:
             self._refused.labels(code)
         self._messages.labels("correction")

@@ -195,6 +195,12 @@ def test_what_an_alert_counts_has_its_series_from_the_start(metrics):
     assert sum(name == "tactile_camera_faults_total" for name, *_ in labels) == 2 * 4, "of each finger, each kind"
 
 
+def test_a_camera_is_slow_by_the_rate_that_it_is_asked_for(metrics):
+    """Sensors have 10 to 120 frames a second: by one figure for all, some would be slow for ever and others never."""
+    for finger in ("left", "right"):
+        assert metrics.registry.get_sample_value("tactile_frames_expected_hz", {"finger": finger}) == 30.0
+
+
 @pytest.mark.parametrize("path", ["prometheus/alerts.yml", "grafana/dashboard.json"])
 def test_what_ended_as_it_was_meant_to_counts_neither_as_inserted_nor_as_failed(path):
     """A panel may show how often a person stops the cell, beside the failures."""
