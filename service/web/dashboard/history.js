@@ -9,6 +9,7 @@ const RECENT = 20; // insertions of a moving mean
 const MEANT = ["aborted", "probed", "regrasped"]; // by a person, as a probe, or to be regrasped: neither inserted nor failed
 const LISTED = 500; // insertions at most, in the table and in the trends
 let all = [];
+const plots = []; // of the trends that are shown
 at("by-id").oninput = show;
 
 export async function listPast() {
@@ -63,6 +64,7 @@ function moving(list, of) {
 
 async function trend(list) {
   const place = element("div"); // of this call: another may begin while this one waits for the library
+  for (const plot of plots.splice(0)) plot.destroy(); // else each would be kept for ever, and follow the cursor of those after it
   at("trend").replaceChildren(place);
   const room = at("trend").clientHeight; // what the panel leaves; nothing where the page scrolls
   if (list.length < 2) { place.textContent = "A trend needs two insertions."; return; }
@@ -70,7 +72,13 @@ async function trend(list) {
   const height = Math.max(100, Math.floor((room - (3 * 1.3 + 1.7) * rem) / 3));
   const reach = (one) => mean((one.decisions ?? []).map((decision) => decision.reach_pitch).filter((value) => value > 0));
   const sum = (part, name) => part.reduce((total, one) => total + (one[name] ?? 0), 0);
-  await chart(place, { title: `Attempts (dots), mean of ${RECENT} (line)`, unit: "", x, key, height, over: true, range: (_, __, most) => [0, Math.max(4, most + 1)], lines: [{ colour: "gel", values: list.map((one) => one.attempts), points: true }, { colour: "busy", values: moving(list, (part) => mean(part.map((one) => one.attempts))) }] });
-  await chart(place, { title: "90 % intervals that held the pose it went in at", unit: " %", x, key, height, over: true, range: [0, 105], lines: [{ colour: "good", values: moving(list, (part) => (100 * sum(part, "intervals_held_n")) / sum(part, "intervals_n")) }] });
-  await chart(place, { title: "Reach: shear of the gels at the stop, in pitches", unit: "", x, key, height, range: (_, __, most) => [0, Math.max(0.5, 1.1 * most)], lines: [{ colour: "gel", values: list.map((one) => { const value = reach(one); return Number.isFinite(value) ? value : null; }), points: true }, { colour: "busy", values: moving(list, (part) => mean(part.map(reach).filter(Number.isFinite))) }] });
+  for (const one of [
+    { title: `Attempts (dots), mean of ${RECENT} (line)`, unit: "", x, key, height, over: true, range: (_, __, most) => [0, Math.max(4, most + 1)], lines: [{ colour: "gel", values: list.map((one) => one.attempts), points: true }, { colour: "busy", values: moving(list, (part) => mean(part.map((one) => one.attempts))) }] },
+    { title: "90 % intervals that held the pose it went in at", unit: " %", x, key, height, over: true, range: [0, 105], lines: [{ colour: "good", values: moving(list, (part) => (100 * sum(part, "intervals_held_n")) / sum(part, "intervals_n")) }] },
+    { title: "Reach: shear of the gels at the stop, in pitches", unit: "", x, key, height, range: (_, __, most) => [0, Math.max(0.5, 1.1 * most)], lines: [{ colour: "gel", values: list.map((one) => { const value = reach(one); return Number.isFinite(value) ? value : null; }), points: true }, { colour: "busy", values: moving(list, (part) => mean(part.map(reach).filter(Number.isFinite))) }] },
+  ]) {
+    const plot = await chart(place, one);
+    if (!place.isConnected) { plot.destroy(); return; }
+    plots.push(plot);
+  }
 }

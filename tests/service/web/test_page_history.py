@@ -49,6 +49,16 @@ def test_a_thousand_insertions_fit(live: LiveService, browser: Any, panel: str) 
         assert sum(heights) < PANELS[panel][1]
 
 
+def test_trends_that_are_shown_no_more_are_let_go(live: LiveService, browser: Any) -> None:
+    """A page stays open for months, and each insertion and each letter of a filter draws the trends anew."""
+    with history(live, browser, 40, "panel") as page:
+        wait_until(page, TREND)
+        for part in ("part-000", "part-00", "part"):
+            page.get_by_label("Insertion", exact=True).fill(part)
+            wait_until(page, TREND)
+        assert page.evaluate("uPlot.sync('trend').plots.length") == 3
+
+
 def test_the_history_has_the_clock_of_the_alarms(live: LiveService, browser: Any) -> None:
     """A person compares the two, and the clock on the wall."""
     with history(live, browser, 1, "panel", timezone_id="Europe/Berlin") as page:
