@@ -3,9 +3,9 @@ import { ask, at, element, ending, withToken } from "/dashboard/dom.js";
 import { chart } from "/dashboard/charts.js";
 import { drawFelt } from "/dashboard/felt.js";
 
-let shown = null; // {name, base, moments, events, plots} of the recording that is open; answers for another one come too late
+const FINGERS = ["left", "right"];
+let shown = null; // {name, base, moments, events, plots, moment, drawn, asking} of the recording that is open; answers for another one come too late
 let timer = null;
-let asked = 0;
 
 export async function play(one) {
   const mine = shown = { name: one.name, base: `/v1/recordings/${one.name}`, moments: [], events: [], plots: [] };
@@ -13,6 +13,7 @@ export async function play(one) {
   at("download").href = withToken(mine.base);
   at("answer").hidden = true;
   at("curves").replaceChildren();
+  clear();
   at("then").textContent = "Reading the recording";
   at("player").showModal();
   const { ok, told } = await ask(`${mine.base}/timeline`);
@@ -24,6 +25,17 @@ export async function play(one) {
   if (shown !== mine) return;
   at("scrub").value = 0;
   show();
+}
+
+// Of the recording that was open before nothing stays: this one may have no frames, or not be readable.
+function clear() {
+  at("scrub").max = at("scrub").value = 0;
+  at("scrub").removeAttribute("aria-valuetext");
+  for (const finger of FINGERS) {
+    const canvas = at(`${finger}-then`);
+    canvas.getContext("2d").clearRect(0, 0, canvas.width, canvas.height);
+    at(`${finger}-then-state`).textContent = "";
+  }
 }
 
 // Curves of one chart may have times of their own: they are laid on the union of them.
@@ -62,19 +74,29 @@ function happened({ moments, events }, moment) {
   return [...(last ? [last] : []), ...(moment === moments.at(-1) ? after : [])].map(({ text }) => text).join("; ");
 }
 
-async function show() {
+function show() {
   const mine = shown, moment = mine?.moments[Number(at("scrub").value)];
   if (!moment) { at("then").textContent = ["No frame of this insertion was judged", ...(mine?.events ?? []).map(({ text }) => text)].join("; "); return; }
   at("then").textContent = `${moment.t.toFixed(2)} s  ${happened(mine, moment)}`;
   at("scrub").setAttribute("aria-valuetext", at("then").textContent);
   for (const plot of mine.plots) plot.setCursor({ left: plot.valToPos(moment.t, "x"), top: 0 }, false);
-  const number = (asked += 1);
-  for (const finger of ["left", "right"]) {
-    const { ok, told } = await ask(`${mine.base}/moments/${finger}/${moment[finger]}`);
-    if (number !== asked || shown !== mine) return;
-    if (!ok) { stop(); at("then").textContent = told.error; return; }
-    drawFelt(at(`${finger}-then`), at(`${finger}-then-state`), told);
+  mine.moment = moment;
+  if (!mine.asking) drawBoth(mine);
+}
+
+// Both fingers at one moment. Answers may be slow, as an insertion goes first: of the moments that come meanwhile only the newest is drawn.
+async function drawBoth(mine) {
+  mine.asking = true;
+  while (mine.drawn !== mine.moment) {
+    const { moment } = mine;
+    const answers = await Promise.all(FINGERS.map((finger) => ask(`${mine.base}/moments/${finger}/${moment[finger]}`)));
+    if (shown !== mine) return;
+    const refused = answers.find(({ ok }) => !ok);
+    if (refused) { stop(); at("then").textContent = refused.told.error; break; }
+    FINGERS.forEach((finger, i) => drawFelt(at(`${finger}-then`), at(`${finger}-then-state`), answers[i].told));
+    mine.drawn = moment;
   }
+  mine.asking = false;
 }
 
 function stop() {
@@ -99,6 +121,7 @@ at("play").onclick = () => {
   at("play").textContent = "Pause";
   at("then").ariaLive = "off"; // ten moments a second are no news
   timer = setInterval(() => {
+    if (shown.asking) return; // no moment goes by unseen
     if (at("scrub").value === at("scrub").max) { stop(); return; }
     at("scrub").value = Number(at("scrub").value) + 1;
     show();

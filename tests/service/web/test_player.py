@@ -6,7 +6,7 @@ import pytest
 
 from tests.service.conftest import LiveService
 from tests.service.web import test_dashboard
-from tests.service.web.test_dashboard import insertion, wait_until
+from tests.service.web.test_dashboard import colours, insertion, wait_until
 
 browser, page, pytestmark = test_dashboard.browser, test_dashboard.page, test_dashboard.pytestmark
 PLAYED = "document.querySelectorAll('#curves canvas').length === 3"
@@ -46,6 +46,42 @@ def test_an_answer_that_comes_late_is_not_shown_in_the_recording_opened_since(
     assert page.evaluate(PLAYED)
     assert {url.split("/moments/")[0].rpartition("_")[2] for url in moments} == {"prompt"}
     assert page.problems == []
+
+
+def test_both_fingers_are_played_although_answers_are_slow(live: LiveService, page: Any, moments: list[str]) -> None:
+    """As during an insertion, which goes first: the right finger would stand still beside a left one that moves."""
+    driver = insertion(live, "slow")
+    driver.attempt(1)
+    driver.gives_up()
+    page.goto(live.url("/#history"))
+    page.get_by_label("play back slow", exact=True).click()
+    wait_until(page, "document.getElementById('right-then-state').textContent !== ''")
+    page.route("**/moments/**", lambda route: (page.wait_for_timeout(150), route.continue_()))
+    moments.clear()
+    page.locator("#play").click()
+    page.wait_for_timeout(1500)
+    page.locator("#play").click()
+    page.wait_for_timeout(1000)
+    left_n, right_n = (sum(f"/{finger}/" in url for url in moments) for finger in ("left", "right"))
+    assert left_n == right_n >= 2
+    assert page.problems == []
+
+
+def test_a_recording_without_frames_shows_none_of_the_one_before(live: LiveService, page: Any) -> None:
+    for name, attempts_n in (("framed", 1), ("frameless", 0)):
+        driver = insertion(live, name)
+        for number in range(1, attempts_n + 1):
+            driver.attempt(number)
+        driver.gives_up()
+    page.goto(live.url("/#history"))
+    page.get_by_label("play back framed", exact=True).click()
+    wait_until(page, "document.getElementById('right-then-state').textContent !== ''")
+    page.locator("#close").click()
+    page.get_by_label("play back frameless", exact=True).click()
+    wait_until(page, "document.getElementById('then').textContent.includes('No frame')")
+    for finger in ("left", "right"):
+        assert page.locator(f"#{finger}-then-state").text_content() == ""
+        assert colours(page, f"{finger}-then") == 1, "an empty drawing"
 
 
 @pytest.mark.parametrize("attempts_n", [0, 1])
