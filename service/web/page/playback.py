@@ -82,7 +82,8 @@ class Curves:
         for at in left if right else ():
             if at - last_ns >= PERIOD_NS:
                 last_ns = at
-                other = right[min(bisect_left(right, at), len(right) - 1)]
+                after = bisect_left(right, at)  # at an attempt's end the next one may come seconds later
+                _, other = min((abs(one - at), one) for one in right[max(0, after - 1) : after + 1])
                 yield {"t": round((at - start_ns) / 1e9, 3), "left": str(at), "right": str(other)}
 
 
