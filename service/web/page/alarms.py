@@ -56,7 +56,8 @@ class Alarms:
         acknowledged = [alarm for alarm in self.all if alarm.acknowledged_s is not None]
         return [*self.open, *acknowledged[: max(0, most_n - len(self.open))]]
 
-    def sound(self, key: str, level: Level, title: str, **facts: str | None) -> Alarm:
+    def sound(self, key: str, level: Level, title: str, late_s: float = 0.0, /, **facts: str | None) -> Alarm:
+        """Raise an alarm for what happened ``late_s`` ago."""
         alarm = next((a for a in self.open if a.key == key), None)
         if alarm is None:
             number = 1 + max((a.number for a in self.all), default=0)
@@ -65,7 +66,7 @@ class Alarms:
             self.all.remove(alarm)
         for name, value in facts.items():
             setattr(alarm, name, value)
-        alarm.at_s, alarm.times_n, alarm.title = time.time(), alarm.times_n + 1, title
+        alarm.at_s, alarm.times_n, alarm.title = time.time() - late_s, alarm.times_n + 1, title
         self.all = [alarm, *self.all]
         while len(self.all) > KEPT_N:
             self._shorten()

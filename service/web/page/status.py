@@ -36,6 +36,7 @@ class Status:
         self._last, self._put_back = newest(station.settings.recordings)  # the latter: on its way to a regrasp
         gone_s = time.time() - self._last.at_s if self._last and self._last.at_s else 0.0
         self._put_back_s = time.monotonic() - max(0.0, gone_s)  # the clock may have been set back since
+        self._overdue = False
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_N)
         self._unrecorded = False
         self.changes_n = 0
@@ -71,7 +72,7 @@ class Status:
         last = self._last
         key = f"insertion {last.insertion_id}" if last else ""
         if any(alarm.key == key for alarm in self._alarms.all):
-            self._put_back = None
+            self._overdue = True
         elif last and last.outcome == "interrupted":
             detail = "The service ended during it, or the disk was full."
             remedy, named = "Look where the object is; start a new insertion.", last.insertion_id
@@ -94,6 +95,7 @@ class Status:
 
     def _opened(self, insertion_id: str) -> Running:
         """An insertion that opens: a new one, or one that continues with a regrasped object."""
+        self._note_overdue()  # perhaps nobody has looked
         before, self._put_back = self._put_back, None
         if before is not None and before.insertion_id == self._continues:
             return before.goes_on(insertion_id)
@@ -122,7 +124,7 @@ class Status:
         self._last = Last(message.insertion_id, message.outcome, cause, words, attempts_n, running.object, at_s, took_s)
         running.descended_n = running.earlier_n + descended_n(cause, message.attempts, message.doubts)
         self._running, self._put_back = None, running if cause == "afresh" else None
-        self._put_back_s = time.monotonic()
+        self._put_back_s, self._overdue = time.monotonic(), False
         if cause is not None and cause not in MEANT:
             detail = "; ".join(doubt.detail for doubt in message.doubts) or running.problem
             self._alarms.sound(
@@ -198,14 +200,14 @@ class Status:
 
     def _note_overdue(self) -> None:
         """Note an overdue regrasp: the arm may have stopped on its way, where the service hears nothing."""
-        waiting = self._put_back
-        if waiting is None or time.monotonic() - self._put_back_s < AFRESH_S:
+        waiting, late_s = self._put_back, time.monotonic() - self._put_back_s - AFRESH_S
+        if waiting is None or self._overdue or late_s < 0.0:
             return
-        self._put_back, named = None, waiting.insertion_id
+        self._overdue, named = True, waiting.insertion_id
         title, detail = "Holding: the object was to be regrasped", f"Nothing went on within {AFRESH_S:g} s."
         remedy = "Look at the pendant and at what the robot client says; start a new insertion."
         facts = {"detail": detail, "remedy": remedy, "insertion_id": named}
-        self._alarms.sound(f"insertion {named}", "stop", title, **facts)
+        self._alarms.sound(f"insertion {named}", "stop", title, late_s, **facts)
 
     def _headline(self, health: dict[str, Any]) -> dict[str, str]:
         """The most important fact now: an unacknowledged stop, else the present activity."""
@@ -226,7 +228,7 @@ class Status:
             return {"level": "stop", "words": stop.title, "detail": f"{stop.remedy}\n{stop.detail}".strip()}
         if bad:
             return {"level": "warning", "words": unseen, "detail": CAMERA_REMEDY}
-        if self._put_back is not None and self._last is not None:
+        if self._put_back is not None and not self._overdue and self._last is not None:
             return {"level": "busy", "words": self._last.words, "detail": CAUSES["afresh"].remedy}
         if self._last is not None and self._last.at_s is not None and self._last.cause is None:
             return {"level": "good", "words": self._last.words, "detail": "Ready for the next object."}

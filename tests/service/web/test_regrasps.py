@@ -18,6 +18,7 @@ from tests.service.conftest import LiveService
 from tests.waiting import wait_for
 
 DOUBT = wire.Doubt(reason="moved_in_hand", detail="it turned on its way in")
+HOLDING = {"level": "stop", "words": "Holding: the object was to be regrasped"}
 REGRASPED = {"level": "busy", "words": "It had turned in the hand and is regrasped"}
 
 
@@ -65,12 +66,33 @@ def test_a_clock_that_is_set_neither_hurries_nor_delays_a_regrasp(
         assert restarted.acknowledge(restarted.snapshot()["alarms"][0]["number"])
 
 
+def test_a_regrasp_that_comes_late_is_an_alarm_and_counted_on_whether_or_not_a_page_is_open(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An arm at reduced speed takes longer than is waited for. The service's own status is asked by nobody before."""
+    open_page = Status(live.station)
+    put_back(live, "slow")
+    wait_for(lambda: headline(open_page) == REGRASPED)
+    monkeypatch.setattr("service.web.page.status.AFRESH_S", 0.0)
+    assert headline(open_page) == HOLDING
+    time.sleep(1.0)
+    again = greeted(live, "slow-again", continues="slow")
+    again.arms(1)
+    sounded_s, counted_on = [], "Attempt 2 of 15: ready to go down"
+    for ask in (open_page.snapshot, lambda: httpx.get(live.url("/v1/status")).json()):
+        wait_for(lambda ask=ask: ask()["headline"]["words"] == counted_on)
+        (alarm,) = [alarm for alarm in ask()["alarms"] if alarm["insertion_id"] == "slow"]
+        sounded_s.append(alarm["at_s"])
+    assert abs(sounded_s[1] - sounded_s[0]) < 0.9, "when it became one, not when somebody looked"
+    again.gives_up()
+    httpx.post(live.url(f"/v1/alarms/{alarm['number']}/acknowledge")).raise_for_status()
+
+
 def test_a_restart_long_after_nothing_went_on_sounds_once(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
     put_back(live, "left")
     monkeypatch.setattr("service.web.page.status.AFRESH_S", 0.0)
-    holding = {"level": "stop", "words": "Holding: the object was to be regrasped"}
     restarted = Status(live.station)
-    assert headline(restarted) == holding
+    assert headline(restarted) == HOLDING
     (alarm,) = [alarm for alarm in restarted.snapshot()["alarms"] if alarm["insertion_id"] == "left"]
     assert restarted.acknowledge(alarm["number"])
     assert headline(Status(live.station)) == {"level": "good", "words": "Ready for the next object"}
