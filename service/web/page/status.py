@@ -183,12 +183,14 @@ class Status:
             listed = self._alarms.shown(SHOWN_ALARMS_N)
             alarms = [asdict(alarm) | {"active": self._is_active(alarm.key, health)} for alarm in listed]
             running, last = self._running, self._last
+            now_s, steady_s = time.time(), time.monotonic()
             shown = running and asdict(running) | {
+                "began_s": now_s - (steady_s - running.began_s),
                 "attempts_max": wire.MAX_ATTEMPTS,
                 "words": PHASES.get(running.phase, running.phase),
             }
             return {
-                "now_s": time.time(),
+                "now_s": now_s,
                 "headline": self._headline(health),
                 "running": shown,
                 "last": asdict(last) if last else None,

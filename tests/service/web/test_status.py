@@ -159,7 +159,8 @@ def test_an_insertion_took_as_long_as_it_took_though_the_wall_clock_was_set_in_i
     live: LiveService, monkeypatch: pytest.MonkeyPatch, step_s: float
 ) -> None:
     driver = greeted(live, f"set{'-back' if step_s < 0 else '-forward'}")
-    until(live, lambda shown: shown["running"] and shown["running"]["insertion_id"] == driver.id)
+    shown = until(live, lambda shown: shown["running"] and shown["running"]["insertion_id"] == driver.id)
+    assert 0.0 <= shown["now_s"] - shown["running"]["began_s"] < 3600.0, "seconds since 1970, as the API says"
     stepped = SimpleNamespace(time=lambda: time.time() + step_s, monotonic=time.monotonic)
     monkeypatch.setattr("service.web.page.status.time", stepped)
     driver.gives_up()
