@@ -31,7 +31,7 @@ function show(status) {
   const events = status.events.map(({ at_s, text }) => element("li", {}, element("time", { textContent: clock(at_s) }), element("span", { textContent: text })));
   at("events").replaceChildren(...(events.length ? events : [element("li", { textContent: "Nothing yet" })]));
   showHealth(status.health);
-  if (last?.insertion_id !== newest) { newest = last?.insertion_id; listPast(); }
+  if (status.recorded !== newest) { newest = status.recorded; listPast(); } // an insertion is listed once it is kept, not once it has ended
 }
 
 function showHeadline({ level, words, detail }) {

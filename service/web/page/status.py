@@ -39,6 +39,7 @@ class Status:
         self._overdue = False
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_N)
         self._unrecorded = False
+        self._recorded: str | None = None  # the last insertion that has its place in the history
         self.changes_n = 0
         self._note_interrupted()
         self._follow(station.hub)
@@ -54,6 +55,7 @@ class Status:
             "unrecorded": self._on_unrecorded,
             "drift": self._on_drift,
             "version": self._on_version,
+            "recorded": self._on_recorded,
         }
 
         def on_event(kind: str, content: Any) -> None:
@@ -166,6 +168,9 @@ class Status:
             facts = {"detail": f"{text[0].upper()}{text[1:]}.", "remedy": remedy}
             self._alarms.sound("version", "warning", "The networks of before decide again", **facts)
 
+    def _on_recorded(self, finished: wire.Finished) -> None:
+        self._recorded = finished.insertion_id
+
     def acknowledge(self, number: int) -> bool:
         """Acknowledge an alarm on a person's behalf; False if there is no such alarm."""
         with self._lock:
@@ -194,6 +199,7 @@ class Status:
                 "headline": self._headline(health),
                 "running": shown,
                 "last": asdict(last) if last else None,
+                "recorded": self._recorded,
                 "alarms": alarms,
                 "open_alarms_n": len(self._alarms.open),
                 "events": list(self._events)[::-1],

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -188,6 +189,21 @@ def test_an_object_that_nobody_takes_afresh_becomes_an_alarm(
     assert shown["alarms"][0]["insertion_id"] == "left"
     httpx.post(live.url(f"/v1/alarms/{shown['alarms'][0]['number']}/acknowledge"))
     assert status(live)["headline"]["level"] == "good"
+
+
+def test_an_insertion_counts_as_recorded_once_it_is_listed(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page reads its history anew then: as soon as an insertion has ended, a slow disk does not list it yet."""
+    closes, close = threading.Event(), Recorder.close
+    monkeypatch.setattr(Recorder, "close", lambda *given: closes.wait(60) and close(*given))
+    driver = greeted(live, "kept")
+    driver.send(wire.Abort(insertion_id="kept", cause="operator", reason="done"))
+    shown = until(live, lambda shown: shown["running"] is None and shown["last"]["insertion_id"] == "kept")
+    assert shown["recorded"] != "kept"
+    closes.set()
+    until(live, lambda shown: shown["recorded"] == "kept")
+    listed = httpx.get(live.url("/v1/recordings")).json()["recordings"]
+    assert "kept" in [one["insertion_id"] for one in listed]
+    driver.close()
 
 
 def test_the_same_alarm_counts_and_a_new_one_comes_first(tmp_path: Path) -> None:
