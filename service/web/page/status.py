@@ -13,6 +13,7 @@ from service.contract.words.causes import CAUSES
 from service.observability.hub import Hub
 from service.session.station import Station
 from service.web.page.alarms import FILE, Alarms
+from service.web.page.disk import Disk
 from service.web.page.past import Last, newest
 from service.web.page.running import ANSWERED, Running
 from service.web.page.sentences import CHARTS, PHASES, changed, ended, event, versions
@@ -30,6 +31,7 @@ class Status:
     def __init__(self, station: Station) -> None:
         self._station = station
         self._alarms = Alarms(station.settings.recordings / FILE)
+        self._disk = Disk(lambda: station.manager.unrecorded)
         self._lock = threading.Lock()
         self._running: Running | None = None
         self._continues: str | None = None
@@ -258,7 +260,7 @@ class Status:
             "ready": station.ready,
             "cameras": {f: station.cameras[f].entry.model_dump() for f in FINGERS},
             "driver": active.session.insertion_id if active else None,
-            "recording": station.manager.unrecorded,
+            "recording": self._disk.problem(),
             "frames_dropped_n": station.counters.frames_dropped_n,
             "insertions_n": station.manager.opened_n,
             "versions": versions(station.versions.state()),

@@ -11,8 +11,10 @@ from typing import Any
 import httpx
 import pytest
 
+from service.web.page.status import Status
 from service.web.reading import Reading
 from tests.service.conftest import LiveService
+from tests.waiting import wait_for
 
 READ_S = 0.02
 
@@ -87,3 +89,22 @@ def test_a_disk_that_does_not_answer_keeps_nobody_else_waiting(
         finally:
             answers.set()
         assert [one.result().status_code for one in waiting] == [200, 200]
+
+
+def test_a_disk_that_does_not_answer_keeps_no_page_from_the_state(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its pictures would go on, above the sentence of before: that the arm holds would be shown to nobody."""
+    shown, answers = Status(live.station), threading.Event()
+    for limit in ("ANSWER_S", "SILENT_S"):
+        monkeypatch.setattr(f"service.web.page.disk.{limit}", 0.1)
+    monkeypatch.setattr("service.session.manager.problem_of", lambda _: "" if answers.wait(60) else "late")
+    with ThreadPoolExecutor() as those:
+        try:
+            state = those.submit(shown.snapshot).result(20)
+            assert state["headline"]["words"] == "Ready for the next object"
+            (alarm,) = wait_for(lambda: shown.snapshot()["alarms"])
+            assert "has not answered" in alarm["detail"]
+        finally:
+            answers.set()
+    wait_for(lambda: not shown.snapshot()["health"]["recording"])
