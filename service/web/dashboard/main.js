@@ -5,7 +5,7 @@ import { drawAbove, drawSide } from "/dashboard/place.js";
 import { listPast } from "/dashboard/history.js";
 
 let today; // by the service's clock, for the viewer's may be wrong
-let heard = null; // when the service was last heard: {service_s, viewer_ms}, by either clock
+let heard = null; // when the service was last heard: {service_s, steady_ms, viewer_ms}, by the service's clock and both of the viewer
 const clock = (seconds) => { const then = new Date(1000 * seconds); return `${then.toDateString() === today ? "" : `${then.toLocaleDateString("en-GB", { day: "numeric", month: "short" })}, `}${then.toLocaleTimeString("en-GB")}`; };
 const SILENT_MS = 5000;
 const NO_LINK = ["The page has no connection to the service", "It connects again by itself."];
@@ -18,7 +18,7 @@ let grew = { count: undefined, at: -Infinity };
 function show(status) {
   const { headline, running, last, alarms } = status;
   today = new Date(1000 * status.now_s).toDateString();
-  heard = { service_s: status.now_s, viewer_ms: performance.now() };
+  heard = { service_s: status.now_s, steady_ms: performance.now(), viewer_ms: Date.now() };
   document.body.classList.remove("stale");
   showHeadline(headline);
   const stop = alarms.find((alarm) => alarm.level === "stop" && !alarm.acknowledged_s);
@@ -123,7 +123,10 @@ function view() {
 // What is shown stays, for a person may need it, but grey, and with when it was true: on a day that is over also which.
 function showLost([words, remedy]) {
   document.body.classList.toggle("stale", heard !== null);
-  if (heard) today = new Date(1000 * heard.service_s + performance.now() - heard.viewer_ms).toDateString();
+  if (heard) { // the steady clock stands still while a laptop sleeps, and the other one may be set back
+    const silent_ms = Math.max(performance.now() - heard.steady_ms, Date.now() - heard.viewer_ms);
+    today = new Date(1000 * heard.service_s + silent_ms).toDateString();
+  }
   const detail = heard ? `What is shown below is of ${clock(heard.service_s)}. ${remedy}` : remedy;
   showHeadline({ level: "stop", words, detail });
   showAcknowledge(false);

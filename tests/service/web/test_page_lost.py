@@ -1,6 +1,7 @@
 """The page in a real Chromium where the service does not let it in, or does not answer: it says why, and what to do."""
 
 import re
+import time
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from tests.service.web import test_dashboard
 from tests.service.web.test_dashboard import insertion, says, wait_until
 
 browser, page, pytestmark = test_dashboard.browser, test_dashboard.page, test_dashboard.pytestmark
+DATED = r"/ of [0-9]+ [A-Z][a-z]+, [0-9:]{8}\. /.test(document.getElementById('detail').textContent)"
 TOKEN = "sixteen-or-more-characters"
 
 
@@ -86,6 +88,18 @@ def test_a_link_that_hangs_is_no_state_of_the_cell(live: LiveService, browser: A
         wait_until(page, "document.getElementById('headline').className !== 'stop'")
 
 
+def test_a_laptop_that_slept_for_a_day_says_of_which_day_its_page_is(live: LiveService, browser: Any) -> None:
+    """Its steady clock stood still meanwhile; the clock on its wall did not."""
+    with closing(Relay.to(live.url(""))) as relay, closing(browser.new_page()) as page:
+        page.clock.install()
+        page.goto(f"{relay.url}/")
+        wait_until(page, "document.querySelectorAll('#health .good').length >= 2")
+        relay.misbehave("half open")
+        says(page, "no connection to the service")
+        page.clock.set_system_time(time.time() + 86_400)
+        wait_until(page, DATED)
+
+
 def test_what_is_old_says_of_when_and_on_another_day_of_which(live: LiveService, browser: Any) -> None:
     with closing(Relay.to(live.url(""))) as relay, closing(browser.new_page()) as page:
         page.clock.install()
@@ -96,6 +110,6 @@ def test_what_is_old_says_of_when_and_on_another_day_of_which(live: LiveService,
         assert re.match(r"What is shown below is of \d\d:\d\d:\d\d\. ", page.locator("#detail").text_content())
         assert page.evaluate("getComputedStyle(document.getElementById('left')).opacity") < "1", "drawings are greyed"
         page.clock.fast_forward("24:00:00")
-        wait_until(page, r"/ of [0-9]+ [A-Z][a-z]+, [0-9:]{8}\. /.test(document.getElementById('detail').textContent)")
+        wait_until(page, DATED)
         relay.misbehave("fair")
         wait_until(page, "getComputedStyle(document.getElementById('left')).opacity === '1'")
