@@ -61,6 +61,8 @@ function showNext(running, last) {
   at("left-over").textContent = running ? `${most - used} of ${most} attempts left` : "";
 }
 
+const DOUBLE_MS = 500; // of a double click, at most
+let pressed = -Infinity;
 const SIGNS = { stop: "■", warning: "▲" };
 let listed = "";
 
@@ -81,7 +83,10 @@ function showAlarms(alarms, open) {
   renew(at("alarms"), shown.length ? shown : [element("li", { textContent: "None" })]);
 }
 
+// After one press the next alarm stands in its place: so soon after it a second press is of somebody who has not read that.
 async function acknowledge(number) {
+  if (performance.now() - pressed < DOUBLE_MS) return;
+  pressed = performance.now();
   await ask(`/v1/alarms/${number}/acknowledge`, { method: "POST" });
 }
 

@@ -11,7 +11,7 @@ import httpx
 from service.web.page.alarms import FILE, Alarms
 from tests.service.conftest import LiveService, live_service
 from tests.service.web import test_dashboard
-from tests.service.web.test_dashboard import says, wait_until
+from tests.service.web.test_dashboard import insertion, says, wait_until
 
 browser, page, pytestmark = test_dashboard.browser, test_dashboard.page, test_dashboard.pytestmark
 FIRST = "document.querySelector('#alarms li').textContent.includes"
@@ -31,6 +31,25 @@ def test_an_alarm_under_the_keyboards_focus_says_when_its_fault_is_gone(live: Li
     wait_until(page, "document.getElementById('open-alarms').textContent === ''")
     assert page.evaluate("document.activeElement.id") == "alarms", "there is nothing left to press"
     assert page.problems == []
+
+
+def test_a_double_press_acknowledges_one_alarm(live: LiveService, page: Any) -> None:
+    """Under the second press stands the next alarm, which nobody has read yet."""
+    insertion(live, "lost").gives_up("part_lost", "width 3.1 mm")
+    insertion(live, "broken").gives_up("arm", "arm: controller: motors off")
+    page.clock.install()
+    page.reload()
+    says(page, "Holding: a fault of the arm")
+    page.clock.pause_at(time.time() + 1.0)
+    button = page.get_by_role("button", name="Acknowledge", exact=True)
+    button.click()
+    says(page, "Holding: the object slipped out of the fingers")
+    button.click()
+    page.wait_for_timeout(1000)
+    says(page, "Holding: the object slipped out of the fingers")
+    page.clock.run_for(1000)
+    button.click()
+    says(page, "Ready for the next object")
 
 
 def test_an_alarm_of_another_day_says_which(browser: Any, tmp_path: Path, models_folder: Path) -> None:
