@@ -166,7 +166,14 @@ def insert(arm: Arm, token: str, task: Task, url: str = URL) -> Message:
 @contextlib.contextmanager
 def _connected(token: str, task: Task, url: str) -> Iterator[Service]:
     head, client = {"Authorization": f"Bearer {token}"}, "examples/cell_controller.py"
-    with connect(url, additional_headers=head, compression=None, open_timeout=READY_S, close_timeout=1.0) as link:
+    with connect(
+        url,
+        additional_headers=head,
+        compression=None,
+        open_timeout=READY_S,
+        close_timeout=1.0,
+        max_queue=None,  # a full one, as in a long call of the arm, would leave the service's pings unanswered
+    ) as link:
         service, ended = Service(link, task.name), threading.Event()
         beats = threading.Thread(target=service.beat, args=[ended], daemon=True)
         now_ns = time.monotonic_ns()
