@@ -173,6 +173,7 @@ def _connected(token: str, task: Task, url: str) -> Iterator[Service]:
         open_timeout=READY_S,
         close_timeout=1.0,
         max_queue=None,  # a full one, as in a long call of the arm, would leave the service's pings unanswered
+        proxy=None,  # of the environment: none leads to a cell, and none should read the token
     ) as link:
         service, ended = Service(link, task.name), threading.Event()
         beats = threading.Thread(target=service.beat, args=[ended], daemon=True)

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import httpx
+import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection, serve
 
@@ -123,3 +124,8 @@ class Answering:
     def hears_a_pong_after(self, answers_n: int) -> bool:
         wait_for(lambda: self.answered_n >= answers_n)
         return self.link.ping().wait(10.0)
+
+    def refuses(self, arm: TinyArm) -> None:
+        """An insertion of the example's that ends at its first `arm`."""
+        with self.server, pytest.raises(controller.Held, match="nothing_held"):
+            controller.insert(arm, "token", controller.Task("box", gap_width_mm=56.0, depth_mm=4.0), self.url)

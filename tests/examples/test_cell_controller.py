@@ -220,9 +220,14 @@ def test_an_arm_that_takes_long_to_pick_its_object_loses_no_connection(monkeypat
     monkeypatch.setattr(controller, "HEARTBEAT_S", 0.005)
     arm, service, heard = TinyArm(), Answering(), []
     arm.on_grasp = lambda: heard.append(service.hears_a_pong_after(50))
-    with service.server, pytest.raises(controller.Held, match="nothing_held"):
-        controller.insert(arm, "token", controller.Task("slow", gap_width_mm=56.0, depth_mm=4.0), service.url)
+    service.refuses(arm)
     assert heard == [True]
+
+
+def test_a_proxy_of_the_environment_is_not_asked_for_the_cell(monkeypatch):
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
+    monkeypatch.setenv("no_proxy", "")
+    Answering().refuses(TinyArm())
 
 
 def test_an_object_that_has_turned_in_the_hand_is_handed_over_to_a_person_and_gone_on_with(cell):
