@@ -68,6 +68,7 @@ class Attempt:
     stage: Stage = Stage.ARMING
     reference: PairObservation | None = None
     armed: Armed | None = None
+    refused: Refused | None = None
     descending_ns: int | None = None
     leg_ns: int | None = None  # start of its present speed
     legs: Legs = field(default_factory=Legs)
@@ -164,8 +165,8 @@ class Attempt:
 
     def refusal(self, reason: wire.RefusalReason, detail: str) -> Refused:
         """The refusal to arm this attempt, which ends it."""
-        self.stage = Stage.DECIDED
-        return Refused(**self.named, reason=reason, detail=detail)
+        self.stage, self.refused = Stage.DECIDED, Refused(**self.named, reason=reason, detail=detail)
+        return self.refused
 
     def watching(self, observation: Observation, now_ns: int) -> Iterator[Watching]:
         """`watching`, if with this frame both fingers have been judged on newer frames than before.

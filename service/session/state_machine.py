@@ -122,9 +122,10 @@ class InsertionSession:
     def _arm(self, message: wire.Arm, now_ns: int) -> Replies:
         last = self.attempt.arm.attempt if self.attempt else 0
         decided = self.attempt is None or self.attempt.stage is Stage.DECIDED
-        if (attempt := self.attempt) and message.attempt == last and not decided:
-            if attempt.armed and attempt.stage is Stage.ARMED and not attempt.spoilt and attempt.descending_ns is None:
-                return [attempt.armed]
+        if (attempt := self.attempt) and message.attempt == last and (attempt.refused or not decided):
+            unused = attempt.stage is Stage.ARMED and not attempt.spoilt and attempt.descending_ns is None
+            if answer := attempt.refused or (attempt.armed if unused else None):
+                return [answer]
             if self.decider:
                 self.decider.given_up(attempt)
         elif message.attempt != last + 1 or not decided:

@@ -247,6 +247,16 @@ def test_why_a_reference_cannot_be_taken_is_told(session: InsertionSession) -> N
     assert (refused.reason, refused.detail) == ("no_reference", "right: too dark")
 
 
+def test_who_missed_a_refusal_and_arms_again_gets_the_same_one(session: InsertionSession) -> None:
+    arm(session)
+    (refused,) = session.on_tick(3 * S)
+    assert arm(session, at_ns=4 * S) == [refused]
+    assert not session.wants_frames, "it begins nothing"
+    assert is_out_of_order(arm(session, 3, 4 * S))
+    assert arm(session, 2, 4 * S) == [], "the next one has the next number"
+    assert is_out_of_order(arm(session, 1, 4 * S))
+
+
 def test_a_correction_is_commanded_once_and_a_refusal_never(session: InsertionSession) -> None:
     commanded = list[float]()
     session.on_command = lambda command: commanded.append(command.dx_mm)
