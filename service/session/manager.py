@@ -171,15 +171,16 @@ class InsertionManager:
             active.message(wire.Abort(insertion_id=active.session.insertion_id, cause=cause, reason=reason))
 
     def _open(self, hello: wire.ClientHello) -> Insertion:
-        given = self.settings
-        if self.versions and not hello.continues:  # a continued insertion is decided by the version that began it
+        given, before = self.settings, self._decided
+        if before and before.insertion_id != hello.continues:
+            before = None
+        if self.versions and not before:  # a continued insertion is decided by the version that began it
             self.models = self.versions.active
         session = make_session(
             self.models, self.calibration, given.controller, given.limits, imprint=given.imprint_slip
         )
         session.cameras, session.submit = self.camera_entries, self.submit
-        before = self._decided
-        if before and (before.insertion_id != hello.continues or before.models is not session.models):
+        if before and before.models is not session.models:
             before = None
         session.decider = before and before.afresh(hello.insertion_id)
         session.open_gels.held_over = self.held_over

@@ -140,6 +140,21 @@ def test_other_networks_go_on_with_nothing_that_the_ones_before_have_found(
     assert shared.active.session.decider is None
 
 
+@pytest.mark.parametrize(("continues", "keeps"), [("one", True), ("another", False)])
+def test_only_an_insertion_that_goes_on_keeps_the_version_before_a_change(
+    shared: InsertionManager, models: ModelSet, continues: str, *, keeps: bool
+) -> None:
+    shared.versions = SimpleNamespace(active=models, beside=lambda *_: None)
+    client = Client(shared)
+    client.connect("one")
+    shared.receive(arm(), client.send)
+    shared.abort("refused", "turned in the hand")
+    shared.versions.active = replace(models)
+    shared.connect(wire.ClientHello(insertion_id="two", client="test", continues=continues), client.send)
+    assert (shared.active.session.models is models) == keeps
+    assert (shared.active.session.models is shared.versions.active) != keeps
+
+
 def test_only_the_connection_that_drives_is_listened_to(shared: InsertionManager) -> None:
     driver, other = Client(shared), Client(shared)
     driver.connect("one")
