@@ -107,7 +107,8 @@ class InsertionSession:
             self.insertion_id, self.continues = message.insertion_id, message.continues is not None
             self.most_tilt_deg = message.most_tilt_deg
             self.takes_afresh, self.inserts = message.takes_afresh, message.purpose == "insert"
-            self.controller_name = message.controller or self.controller_name
+            known = self.decider.controller.name if self.decider else message.controller  # of a regrasped object
+            self.controller_name = known or self.controller_name
         return [
             wire.ServiceHello(
                 insertion_id=self.insertion_id,

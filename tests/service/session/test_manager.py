@@ -140,6 +140,16 @@ def test_other_networks_go_on_with_nothing_that_the_ones_before_have_found(
     assert shared.active.session.decider is None
 
 
+def test_a_regrasped_object_goes_on_with_its_controller_and_hello_names_it(shared: InsertionManager) -> None:
+    client = Client(shared)
+    shared.connect(wire.ClientHello(insertion_id="one", client="test", controller="heuristic"), client.send)
+    shared.receive(arm(), client.send)
+    shared.abort("afresh", "turned")
+    shared.connect(wire.ClientHello(insertion_id="two", client="test", continues="one"), client.send)
+    assert shared.active.session.decider.controller.name == "heuristic"
+    assert client.heard[-1].controller == "heuristic"
+
+
 @pytest.mark.parametrize(("continues", "keeps"), [("one", True), ("another", False)])
 def test_only_an_insertion_that_goes_on_keeps_the_version_before_a_change(
     shared: InsertionManager, models: ModelSet, continues: str, *, keeps: bool
