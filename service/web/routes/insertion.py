@@ -149,12 +149,7 @@ async def _serve(socket: WebSocket, connection: Connection, station: Station, ac
 async def _drive(socket: WebSocket, connection: Connection, station: Station, hello: wire.ClientHello) -> Ending:
     station.connect(hello, connection.send)
     while True:
-        try:
-            message: Any = wire.parse_client(await _text(socket))
-        except ContractError as error:
-            connection.fault("bad_message", str(error), fatal=False)
-            continue
-        station.receive(message, connection.send)
+        station.receive(await _message(socket, connection), connection.send)
 
 
 async def _watch(socket: WebSocket, connection: Connection, station: Station, hello: wire.ClientHello) -> Ending:
@@ -173,17 +168,23 @@ async def _watch(socket: WebSocket, connection: Connection, station: Station, he
     remove = station.hub.subscribe(lambda kind, content: connection.send(content) if kind == "message" else None)
     try:
         while True:
-            message: Any = wire.parse_client(await _text(socket))
+            message = await _message(socket, connection)
             if isinstance(message, wire.ClientHeartbeat):
                 connection.send(beat(message, now_ns(), station.frame_age_ms()))
             else:
                 detail = f"a watching client may send heartbeats only, not {message.type}"
                 connection.fault("watch_only", detail, fatal=False)
-    except ContractError as error:
-        connection.fault("bad_message", str(error), fatal=True)
-        return await until_gone(socket)
     finally:
         remove()
+
+
+async def _message(socket: WebSocket, connection: Connection) -> Any:
+    """The next message after hello; what is none is answered by a fault, and changes nothing."""
+    while True:
+        try:
+            return wire.parse_client(await _text(socket))
+        except ContractError as error:
+            connection.fault("bad_message", str(error), fatal=False)
 
 
 async def _text(socket: WebSocket) -> str:

@@ -80,6 +80,10 @@ def test_only_one_client_drives_and_others_watch(live: LiveService) -> None:
         assert watcher.receive().clock.sent_ns == 7
         watcher.send(wire.Descending(insertion_id="watcher", attempt=1))
         assert watcher.receive().code == "watch_only"
+        for garbage in ("{", b"binary"):
+            watcher.socket.send(garbage)
+            fault = watcher.receive()
+            assert (fault.code, fault.fatal) == ("bad_message", False), "it goes on watching"
         driver.attempt(1)
         assert watcher.until("correction").insertion_id == "first"
         driver.send(wire.Abort(insertion_id="first", cause="operator", reason="done"))
