@@ -77,17 +77,16 @@ class RequestLimits:
             await self._app(scope, receive, send)
             return
         too_fast = not (self._reserved(scope) or self._rate.allows(peer_of(scope)))
+        if too_fast:  # also before a WebSocket opens: closing it would be answered by 403, as a wrong token is
+            text = f"more than {self._rate.per_s:g} requests a second; slow down"
+            answer = JSONResponse({"error": text}, 429, {"Retry-After": "1", "Connection": "close"})
+            await answer(scope, receive, hardened(send) if kind == "http" else send)
+            return
         if kind == "websocket":
-            if too_fast:
-                await send({"type": "websocket.close", "code": 1013, "reason": "too many connections a second"})
-            else:
-                await self._app(scope, receive, send)
+            await self._app(scope, receive, send)
             return
         send = hardened(send)
-        if too_fast:
-            text = f"more than {self._rate.per_s:g} requests a second; slow down"
-            await JSONResponse({"error": text}, 429, {"Retry-After": "1", "Connection": "close"})(scope, receive, send)
-        elif declared_bytes(scope) > MAX_BODY_BYTES:
+        if declared_bytes(scope) > MAX_BODY_BYTES:
             await JSONResponse({"error": _too_large(MAX_BODY_BYTES)}, 413)(scope, receive, send)
         else:
             await self._app(scope, timed(receive), send)

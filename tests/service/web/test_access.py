@@ -59,6 +59,16 @@ def test_a_client_too_fast_is_told_to_slow_down_and_health_goes_on(tmp_path: Pat
         refused = next(answer for answer in others if answer.status_code == 429)
         assert (refused.headers["retry-after"], refused.headers["connection"]) == ("1", "close")
         assert "more than 0.5 requests a second" in refused.json()["error"]
+
+        def open_pages() -> None:
+            with contextlib.ExitStack() as pages:
+                for _ in range(4):
+                    pages.enter_context(connect(slow.url("/v1/live", "ws")))
+
+        with pytest.raises(InvalidStatus) as too_fast:
+            open_pages()
+        assert too_fast.value.response.status_code == 429
+        assert b"more than 0.5 requests a second" in too_fast.value.response.body
         assert {httpx.get(slow.url("/healthz")).status_code for _ in range(10)} == {200}
 
 
