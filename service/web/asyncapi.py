@@ -114,6 +114,8 @@ def document(version: str) -> dict[str, Any]:
         [(model, "validation") for model in (*CLIENT, *SERVICE)], ref_template="#/components/schemas/{model}"
     )
     both = {model.__name__: _message(model) for model in (*CLIENT, *SERVICE)}
+    for name in both:  # a default in Python, which finds the model of a message by it
+        schemas["$defs"][name]["required"] = ["type", *schemas["$defs"][name]["required"]]
     frame = {"Frame": {"name": "frame", "contentType": BINARY, "summary": FRAME_LAYOUT, "payload": {"type": "string"}}}
     summary = "What the page draws: `status` is what GET /v1/status answers, `finger` a picture with its markers."
     page = {"PageEvent": {"name": "page", "contentType": "application/json", "summary": summary, "payload": PAGE}}

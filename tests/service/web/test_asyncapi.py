@@ -72,6 +72,17 @@ def test_a_key_that_the_code_refuses_is_refused_by_the_schema() -> None:
             wire.parse_client(json.dumps(arm | wrong))
 
 
+@pytest.mark.parametrize("name", sorted(MESSAGES))
+def test_a_message_without_its_type_is_refused_by_its_schema_as_by_the_code(name: str) -> None:
+    (example, *_) = DOCUMENT["components"]["messages"][name]["examples"]
+    untyped = {key: value for key, value in example["payload"].items() if key != "type"}
+    schema = {"$ref": f"#/components/schemas/{name}", "components": DOCUMENT["components"]}
+    assert not jsonschema_rs.validator_for(schema).is_valid(untyped)
+    parse = wire.parse_client if MESSAGES[name] in asyncapi.CLIENT else wire.parse_service
+    with pytest.raises(ValueError, match="type"):
+        parse(json.dumps(untyped))
+
+
 def test_every_websocket_has_its_channel(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
     paths: set[str] = set()
     monkeypatch.setattr(
