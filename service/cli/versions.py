@@ -48,7 +48,10 @@ def _ask(options: argparse.Namespace) -> dict[str, Any]:
     params = {"folder": str(options.folder.resolve())} if options.folder else None
     try:
         url = f"{options.url.rstrip('/')}/v1/versions{path}"
-        answer = httpx.request(method, url, params=params, headers=token, timeout=TIMEOUT_S)
+        ours = httpx.create_ssl_context()  # with the environment's authorities, and none of its proxies
+        answer = httpx.request(
+            method, url, params=params, headers=token, timeout=TIMEOUT_S, verify=ours, trust_env=False
+        )
         state = answer.json()
     except (httpx.HTTPError, httpx.InvalidURL, ValueError) as error:
         raise ContractError(f"no service answers at {options.url}: {str(error) or type(error).__name__}") from None

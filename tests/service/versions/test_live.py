@@ -209,6 +209,12 @@ def test_the_token_of_this_machine_is_not_sent_to_another_one(
     assert "this machine's token is not sent elsewhere" in capsys.readouterr().err
 
 
+def test_no_proxy_of_the_environment_gets_the_token(cell: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
+    monkeypatch.setenv("no_proxy", "")
+    assert main(["versions", "--url", cell.url("")]) == 0
+
+
 def test_only_an_administrator_changes_versions(cell: LiveService, tmp_path: Path) -> None:
     for method, path in (("POST", "/shadow"), ("DELETE", "/shadow"), ("POST", "/promote"), ("POST", "/rollback")):
         assert httpx.request(method, cell.url(f"/v1/versions{path}?folder=x")).status_code == 401
