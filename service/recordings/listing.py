@@ -149,7 +149,9 @@ def each_recording(root: Path, problems: list[str], insertion_id: str | None = N
         if insertion_id not in (None, folder.name.partition("_")[2]):
             continue
         try:
-            yield _entry(folder)
+            entry = _entry(folder)
+            if not is_being_written(folder):  # one that has its summary gets the name of its file last
+                yield entry
         except FileNotFoundError:
             if (folder / UNREADABLE).is_file():
                 problems.append(f"{folder.name}: broken off before there was anything to read; remove it")

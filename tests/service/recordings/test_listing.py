@@ -8,6 +8,7 @@ import httpx
 import pytest
 
 from service.recordings.listing import list_recordings
+from service.recordings.writer import Recorder
 from service.web.routes.recordings import Recordings
 from tests.service.process import ServiceProcess, service_process
 
@@ -35,6 +36,17 @@ def test_an_earlier_recording_is_listed_in_todays_words(tmp_path: Path, cause: s
     (folder / "summary.json").write_text(json.dumps(facts))
     listed, problems = list_recordings(tmp_path)
     assert ([one["outcome"] for one in listed], problems) == ([outcome], [])
+
+
+def test_a_recording_is_listed_once_its_file_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slow disk takes its time between the summary and the file's own name; who found it listed got a 404."""
+    meanwhile = []
+    monkeypatch.setattr("service.recordings.writer.put_on_disk", lambda _: meanwhile.append(list_recordings(tmp_path)))
+    path = Recorder(tmp_path, "one", {}).close({"outcome": "inserted", "attempts": 1})
+    assert meanwhile == [([], [])]
+    listed, problems = list_recordings(tmp_path)
+    assert ([one["name"] for one in listed], problems) == ([path.parent.name], [])
+    assert path.is_file()
 
 
 def loop_s(service: ServiceProcess) -> float:
