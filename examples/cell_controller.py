@@ -217,6 +217,8 @@ def _attempts(arm: Arm, service: Service, task: Task, limits: Message) -> Messag
         undecided = undecided + 1 if answer["type"] == "no_decision" else 0
         if undecided > MOST_NO_DECISIONS or answer.get("reason") in FINAL_REASONS:
             raise Held("no_decision", f"{answer['reason']}: {answer['detail']}")
+        if attempt == ATTEMPTS:
+            break  # `finished` follows: hold
         arm.retract()
         if answer["type"] == "correction":
             arm.move_by(_bounded(answer, limits, "dx_mm"), _bounded(answer, limits, "dtheta_deg"))

@@ -1,17 +1,12 @@
 """The controller that docs/api.md teaches, and a cell for it: the real service as a process, with two cameras."""
 
-import contextlib
 import importlib.util
 import json
 import sys
-import threading
 import time
 from pathlib import Path
 
 import httpx
-import pytest
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.server import ServerConnection, serve
 
 from tests.examples.tiny_arm import TinyArm
 from tests.service import drawn
@@ -94,38 +89,3 @@ def stands(arm: TinyArm) -> None:
     time.sleep(0.1)
     assert arm.depth_mm() == depth_mm
     assert not arm.moves
-
-
-ANSWERS = {
-    "hello": {"type": "hello", "protocol": 2, "cameras": [], "limits": {}, "clock": {"sent_ns": 1, "service_ns": 1}},
-    "heartbeat": {"type": "heartbeat", "clock": None},
-    "learn_open": {"type": "open_learnt"},
-    "arm": {"type": "refused", "reason": "nothing_held", "detail": "both gels look untouched"},
-}
-
-
-class Answering:
-    """Something that answers up to the first `arm`, and may ping its client."""
-
-    def __init__(self) -> None:
-        self.answered_n = 0
-        self.server = serve(self._answer, "127.0.0.1", 0, ping_interval=None)
-        self.url = f"ws://127.0.0.1:{self.server.socket.getsockname()[1]}/v1/insertion"
-        threading.Thread(target=self.server.serve_forever, daemon=True).start()
-
-    def _answer(self, link: ServerConnection) -> None:
-        self.link = link
-        with contextlib.suppress(ConnectionClosed):
-            for text in link:
-                if answer := ANSWERS.get(json.loads(text)["type"]):
-                    link.send(json.dumps(answer))
-                    self.answered_n += 1
-
-    def hears_a_pong_after(self, answers_n: int) -> bool:
-        wait_for(lambda: self.answered_n >= answers_n)
-        return self.link.ping().wait(10.0)
-
-    def refuses(self, arm: TinyArm) -> None:
-        """An insertion of the example's that ends at its first `arm`."""
-        with self.server, pytest.raises(controller.Held, match="nothing_held"):
-            controller.insert(arm, "token", controller.Task("box", gap_width_mm=56.0, depth_mm=4.0), self.url)

@@ -14,7 +14,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from simulation.studies.motion_bounds.relay import Relay
-from tests.examples.cell import EXAMPLE, SLOW_MM_S, Answering, Cell, controller, stands, started
+from tests.examples.cell import EXAMPLE, SLOW_MM_S, Cell, controller, stands, started
 from tests.examples.tiny_arm import TinyArm
 from tests.service.mjpeg import FakeFinger
 
@@ -213,21 +213,6 @@ def test_nothing_moves_in_an_attempt_that_is_refused(cell):
         cell.insert(arm)
     stands(arm)
     assert arm.depth_mm() == 0.0
-
-
-def test_an_arm_that_takes_long_to_pick_its_object_loses_no_connection(monkeypatch):
-    """Answers to the heartbeats wait for it meanwhile; a service that hears no pong for 20 s closes."""
-    monkeypatch.setattr(controller, "HEARTBEAT_S", 0.005)
-    arm, service, heard = TinyArm(), Answering(), []
-    arm.on_grasp = lambda: heard.append(service.hears_a_pong_after(50))
-    service.refuses(arm)
-    assert heard == [True]
-
-
-def test_a_proxy_of_the_environment_is_not_asked_for_the_cell(monkeypatch):
-    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
-    monkeypatch.setenv("no_proxy", "")
-    Answering().refuses(TinyArm())
 
 
 def test_an_object_that_has_turned_in_the_hand_is_handed_over_to_a_person_and_gone_on_with(cell):
