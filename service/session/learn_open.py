@@ -30,8 +30,11 @@ class OpenGels:
         """What an ended insertion holds over to the next one; ``attempt`` is its last."""
         if finished.outcome == "inserted" or finished.cause == "part_lost":
             return ""
-        went_down = attempt is not None and (attempt.arm.attempt > 1 or attempt.descending_ns is not None)
-        return UNSEEN if went_down else self.unknown
+        if attempt is None:
+            return self.unknown
+        # one that is armed again has not gone down yet, but before: its tilt knows
+        went_down = attempt.arm.attempt > 1 or attempt.descending_ns is not None
+        return UNSEEN if went_down else attempt.tilt.unknown or self.unknown
 
     @property
     def waiting(self) -> bool:

@@ -12,7 +12,7 @@ from service.session.state_machine import InsertionSession
 from tests.service.client import greeted
 from tests.service.conftest import live_service
 from tests.service.decision.test_claim import PERIOD_NS
-from tests.service.session.at_rest import ID, S, arm, at_rest, is_out_of_order, shows, stops
+from tests.service.session.at_rest import ID, S, arm, at_rest, descends, is_out_of_order, shows, stops
 from tests.service.session.driving import wait_for_recorders
 
 
@@ -86,6 +86,19 @@ def test_an_attempt_that_only_armed_leaves_what_the_ones_before_it_pressed(
     session.attempt.arm = session.attempt.arm.model_copy(update={"attempt": attempt})
     gave_up = wire.Finished(insertion_id=ID, outcome="failed", attempts=attempt, cause="service")
     assert bool(session.open_gels.after(gave_up, session.attempt)) == pressed
+
+
+def test_an_attempt_that_went_down_and_is_armed_again_leaves_what_it_pressed(session: InsertionSession) -> None:
+    """The object is refused; who starts the next insertion with it still in the hand is refused, too."""
+    learn(session, 0)
+    shows(session, 0)
+    arm(session)
+    shows(session, 0)
+    descends(session)
+    arm(session, at_ns=S)
+    assert [answer.type for answer in shows(session, 0, S)] == ["refused"]
+    (refused,) = session.handle(wire.Abort(insertion_id=ID, cause="refused", reason="turned in the hand"), S)
+    assert session.open_gels.after(refused, session.attempt)
 
 
 @pytest.mark.parametrize(("outcome", "cause"), [("inserted", None), ("failed", "part_lost")])
