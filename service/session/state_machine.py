@@ -153,7 +153,8 @@ class InsertionSession:
             return [attempt.decision]
         if attempt is None or not self._is_current(message.attempt, {Stage.ARMED, Stage.STOPPED}):
             return [self._fault("protocol", f"stopped in attempt {message.attempt}, which is not armed")]
-        attempt.ends(message)
+        if attempt.stage is Stage.ARMED or message.outcome == "dropped":  # repeated, it changes nothing
+            attempt.ends(message)
         if message.outcome == "dropped":
             return self._end(attempt, "part_lost")
         if attempt.stage is Stage.ARMED:

@@ -57,6 +57,18 @@ def test_a_stop_that_is_told_again_does_not_let_its_decision_come_later(session:
     assert (refused.type, refused.reason) == ("no_decision", "no_motion")
 
 
+def test_a_blocked_attempt_does_not_become_one_at_full_depth(session: InsertionSession) -> None:
+    """Where the arm goes after it has stopped, nobody watches it."""
+    arm(session)
+    shows(session, 0)
+    descends(session)
+    for index in range(1, 10):
+        shows(session, index)
+    stops(session, at_ns=9 * PERIOD_NS)
+    assert stops(session, at_ns=9 * PERIOD_NS + 1, outcome="inserted", depth_mm=25.0) == []
+    assert [answer.type for answer in session.on_tick(4 * S)] == ["no_decision"]
+
+
 def test_a_speed_that_is_told_on_the_way_begins_a_leg_and_no_new_descent(session: InsertionSession) -> None:
     arm(session)
     shows(session, 0)
