@@ -47,6 +47,12 @@ class Decider:
             self.grasp.blocked(attempt)
         return decision
 
+    def grasps(self, arm: wire.Arm, unknown: str, *, anew: bool, tried: bool) -> None:
+        """The first arming with a grasp; ``anew``: the hand was open, so what others have shown is of no grasp now."""
+        if anew:
+            self.grasp = GraspRecord(tried=self.grasp.tried)
+        self.grasp.begins(arm.gripper_width_mm, unknown, tried=tried)
+
     def given_up(self, attempt: Attempt) -> None:
         """An attempt ends without an answer; the arm may have gone down in it."""
         if attempt.descending_ns is not None:

@@ -20,11 +20,17 @@ class OpenGels:
     _asked_ns: int | None = None
     _learnt: set[Finger] = field(default_factory=set)
     _problem: str = "no frame arrived"
+    _opened: bool = False
 
     @property
     def unknown(self) -> str:
         """Why it is not known how the object hangs, or "": the hand was open before it was grasped."""
         return "" if len(self._learnt) == len(FINGERS) else self.held_over
+
+    def grasped_anew(self) -> bool:
+        """Whether the hand was open since this was asked last."""
+        opened, self._opened = self._opened, False
+        return opened
 
     def after(self, finished: wire.Finished, attempt: Attempt | None) -> str:
         """What an ended insertion holds over to the next one; ``attempt`` is its last."""
@@ -45,6 +51,7 @@ class OpenGels:
         """Learn from frames captured from now on, or forget what was learnt."""
         self._asked_ns, self._problem = None if message.forget else now_ns, "no frame arrived"
         self._learnt.clear()
+        self._opened = False
         for watch in fingers if message.forget else ():
             watch.forget_open()
 
@@ -59,7 +66,7 @@ class OpenGels:
         self._learnt.add(frame.finger)
         if len(self._learnt) < len(FINGERS):
             return []
-        self._asked_ns = None
+        self._asked_ns, self._opened = None, True
         return [wire.OpenLearnt(insertion_id=insertion_id)]
 
     def overdue(self, insertion_id: str, now_ns: int, allowed_s: float) -> list[wire.ServiceMessage]:

@@ -134,8 +134,8 @@ class InsertionSession:
             return [self._fault("protocol", f"arm of attempt {message.attempt}, expected {last + decided}: {why}")]
         if self.decider is None:
             self.decider = decider_of(message, self.models, self.controller_name, self.limits, self.deadlines)
-        if message.attempt == 1:
-            self.decider.grasp.begins(message.gripper_width_mm, self.open_gels.unknown, tried=self.continues)
+        if (anew := self.open_gels.grasped_anew()) or message.attempt == 1:
+            self.decider.grasps(message, self.open_gels.unknown, anew=anew, tried=self.continues)
         self._generation += 1
         tilt = self.decider.grasp.tilt.held_at(message.tilt_deg, self.most_tilt_deg)
         self.attempt = Attempt(message, now_ns, self._generation, tilt, self.inserts)

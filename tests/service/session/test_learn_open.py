@@ -8,6 +8,7 @@ import pytest
 from websockets.sync.client import connect
 
 from service.contract import wire
+from service.decision.held_tilt import HeldTilt
 from service.session.state_machine import InsertionSession
 from tests.service.client import greeted
 from tests.service.conftest import live_service
@@ -86,6 +87,29 @@ def test_an_attempt_that_only_armed_leaves_what_the_ones_before_it_pressed(
     session.attempt.arm = session.attempt.arm.model_copy(update={"attempt": attempt})
     gave_up = wire.Finished(insertion_id=ID, outcome="failed", attempts=attempt, cause="service")
     assert bool(session.open_gels.after(gave_up, session.attempt)) == pressed
+
+
+@pytest.mark.parametrize("forget", [False, True])
+def test_an_object_that_is_grasped_anew_between_attempts_is_not_tilted_as_it_was(
+    session: InsertionSession, *, forget: bool
+) -> None:
+    """The tool would tilt an upright object. A hand that was not open after all still holds it as it did."""
+    session.most_tilt_deg = 1.5
+    arm(session, gripper_width_mm=50.0)
+    shows(session, 0)
+    stops(session, at_ns=3 * S)
+    session.on_tick(6 * S)
+    assert session.decider is not None
+    session.decider.grasp.tilt = HeldTilt()
+    session.decider.grasp.tilt.turned(1.0, 0.0)
+    learn(session, 7 * S)
+    assert [answer.type for answer in shows(session, 0, 7 * S)] == ["open_learnt"]
+    if forget:
+        session.handle(wire.LearnOpen(insertion_id=ID, forget=True), 7 * S)
+    arm(session, 2, 8 * S, gripper_width_mm=48.0)
+    assert [answer.type for answer in shows(session, 0, 8 * S)] == ["straighten" if forget else "armed"]
+    assert session.decider.grasp.width_mm == (50.0 if forget else 48.0)
+    assert session.decider.grasp.tried, "its neighbours have been pressed all the same"
 
 
 def test_an_attempt_that_went_down_and_is_armed_again_leaves_what_it_pressed(session: InsertionSession) -> None:
