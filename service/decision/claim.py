@@ -14,7 +14,7 @@ import numpy as np
 from service.contract.wire import Cause, Doubt, DoubtReason
 from service.decision.attempt import Attempt
 from service.decision.held_tilt import UNSEEN, HeldTilt, Touch
-from service.decision.seating import Push, seating_evidence, strongest_push
+from service.decision.seating import NOISE_PITCH, Push, seating_evidence, stood_pitch, strongest_push
 from service.perception.observation import Observation, PairObservation
 from service.perception.turning import turned_going_in
 
@@ -225,6 +225,12 @@ def _pushed(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:
     seating = seating_evidence(attempt.pushes, began_ns, grasp.blocked_pitch)
     if not seating.seated:
         yield _doubt("push", str(seating), seating.push_pitch, seating.bound_pitch)
+    stood = stood_pitch(attempt.reference)
+    if not grasp.blocked_pitch and stood >= NOISE_PITCH:  # after a press, a gel that relaxes may still show that one
+        detail = (
+            f"the gels carried a push of {stood:.3f} marker pitches before the descent: the object stood on something"
+        )
+        yield _doubt("push", detail, stood, NOISE_PITCH)
 
 
 def _moved_in_hand(attempt: Attempt, grasp: GraspRecord) -> Iterator[Doubt]:

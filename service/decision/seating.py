@@ -17,7 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.contract import FINGERS
 from service.perception.observation import PairObservation
+from service.perception.slip.open_gel import WEIGHT_PITCH
 
 HELD_SHARE = 0.03  # share of the grasp's capacity: most jams carried 0.04 and more, sliding 0.74, hanging free 0.0001
 NOISE_PITCH = 0.008  # no smaller push counts: the common error of all of a finger's markers
@@ -84,6 +86,17 @@ def push_of(both: PairObservation, reference: PairObservation) -> Push:
     mean = 0.5 * (means[0] + means[1])
     weaker = min(means) if math.isfinite(mean) else math.nan
     return Push(both.captured_ns, weaker, mean, math.sqrt(0.5 * (squares[0] + squares[1])))
+
+
+def stood_pitch(reference: PairObservation | None) -> float:
+    """The push on the weaker finger at arming, upwards since the gels were open, in pitches; NaN if unknown.
+
+    It is in every later pair, too, so the pushes since the reference do not show it: gels that slid before carry no
+    more as they slide on.
+    """
+    weights = [finger.weight for finger in reference.fingers] if reference else []
+    known = [weight for weight in weights if weight is not None]
+    return -max(known) * WEIGHT_PITCH if len(known) == len(FINGERS) else math.nan
 
 
 def strongest_push(pushes: Sequence[Push]) -> float:

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.contract import FramePair, Sensor, TactileFrame, wire
+from service.decision.claim import GraspRecord
 from service.decision.models import ModelSet
 from service.decision.seating import NOISE_PITCH, Push, SeatingEvidence, push_of, seating_evidence, strongest_push
 from service.perception.markers.field import field_from_gel
@@ -16,7 +17,7 @@ from service.perception.observation import PairObservation
 from service.session.factory import make_session
 from service.session.state_machine import InsertionSession
 from tests.service import drawn
-from tests.service.decision.test_claim import observation
+from tests.service.decision.test_claim import descent, observation, pair, reasons, weighed
 
 ID = "seat-1"
 FRAMES = 30
@@ -179,3 +180,15 @@ def test_the_operator_reads_the_push_and_what_it_is_compared_with() -> None:
     text = str(SeatingEvidence(0.48, 0.5))
     assert "0.480 marker pitches, 96% of the strongest they bore (in a gap: below 0.015)" in text
     assert "strongest" not in str(SeatingEvidence(0.48, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "doubted"), [(-2.0, -1.7, True), (-2.0, -1.5, False), (-30.0, 0.1, False), (-30.0, None, False)]
+)
+def test_an_object_that_stood_on_the_blocks_as_it_was_armed_has_not_come_along(
+    left: float, right: float | None, doubted: bool
+) -> None:
+    """As one longer than stated: its gels slide from the reference on, and no push is added. One that hangs weighs."""
+    attempt = descent(reference=weighed(pair(), left, right))
+    assert reasons(attempt) == (["push"] if doubted else [])
+    assert reasons(attempt, GraspRecord(width_mm=50.0, blocked_pitch=0.5)) == []
