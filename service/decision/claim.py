@@ -163,6 +163,8 @@ def _depth(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
 
 def _watched(attempt: Attempt, _: GraspRecord) -> Iterator[Doubt]:
     """The gels were read throughout: no gap between readable pairs, before the first or after the last."""
+    if attempt.broken:
+        yield _doubt("not_seen", f"a camera failed during the attempt: {attempt.broken}")
     if attempt.descending_ns is None or attempt.stopped_ns is None:
         return
     read = [push.captured_ns for push in attempt.pushes if math.isfinite(push.weaker_pitch)]

@@ -81,6 +81,7 @@ def test_where_no_finger_showed_the_object_at_arming_both_must_feel_it_at_full_d
         ({"gripper_width_mm": None}, "width"),
         ({"reference": None}, "not_seen"),
         ({"pushes": []}, "push"),
+        ({"broken": "left is gone"}, "not_seen"),  # the reference is of before
     ],
 )
 def test_one_thing_that_is_wrong_is_a_doubt(changes: dict[str, object], reason: str) -> None:
