@@ -107,6 +107,7 @@ class Runner:
     _handling: bool = False
     _target: WorkPose | None = None  # of the move under way
     _done: asyncio.Event = field(default_factory=asyncio.Event)
+    _greets: bool = False  # from the first message on
     _telemetry: Telemetry = field(init=False)
 
     def __post_init__(self) -> None:
@@ -220,7 +221,13 @@ class Runner:
             self._events.append(Failure(at_s=time.monotonic(), source=source, code="internal", detail=detail))
 
     def _send(self, message: wire.ClientMessage) -> None:
-        """Send a message, between the robot's past motion and its next one."""
+        """Send a message, between the robot's past motion and its next one.
+
+        Before the greeting no insertion is open to be given up: an abort would be counted as a client refused.
+        """
+        self._greets = self._greets or isinstance(message, wire.ClientHello)
+        if not self._greets:
+            return
         if isinstance(message, wire.Stopped | wire.Abort):
             self._telemetry.flush()
         self.service.send(message)

@@ -212,6 +212,26 @@ async def test_an_interrupt_in_the_moment_in_which_the_arm_is_ready_moves_nothin
     assert moves == []
 
 
+@pytest.mark.parametrize("held_up", [True, False])
+async def test_an_insertion_is_given_up_to_the_service_only_if_it_was_opened(held_up):
+    """As by an interrupt while the motors are switched on: the service takes no first message but a greeting."""
+    run, sent, waits = runner([]), [], asyncio.Event()
+    let_close(run)
+    run.service.send = lambda message: sent.append(message.type)
+
+    async def start(_post):
+        if held_up:
+            await waits.wait()
+        return TO_ARMING[0].pose
+
+    run.arm.start = start
+    task = asyncio.ensure_future(run.run())
+    await asyncio.sleep(0.05)
+    task.cancel()
+    assert (await task).reason.startswith("operator")
+    assert (sent[:1], "abort" in sent) == (([], False) if held_up else (["hello"], True))
+
+
 async def test_no_program_is_started_once_a_device_has_failed():
     notes = []
     run = runner(notes, service="gone")
