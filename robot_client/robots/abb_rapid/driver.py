@@ -26,6 +26,7 @@ from robot_client.silence import Silence
 
 _LEASE_CHECK_S = 0.005
 _STILL_MM, _STILL_DEG, _STILL_S = 0.03, 0.05, 0.15  # the guard answers with 0.01 mm
+_STUCK_S = 1.0  # in a move: its program was stopped, which closes no socket
 
 
 @dataclass(slots=True)
@@ -116,17 +117,15 @@ class SocketArm:
             self._stop_program()
 
     async def close(self) -> str:
-        self._until_s = None
-        self._post, self._latched = None, self._latched or "closed"
+        self._post, self._until_s, self._latched = None, None, self._latched or "closed"
         self._ask_guard("S", self._next())
         self._stop_program()
         outcome = await self._stopping if self._stopping else "guard stopped the arm; no program was started"
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        for writer in (self._motion, self._guard):
-            if writer is not None:
-                writer.close()
+        for writer in filter(None, (self._motion, self._guard)):
+            writer.close()
         if self.rws is not None:
             await self.rws.close()
         return outcome
@@ -252,22 +251,22 @@ class SocketArm:
         # A hold waits for the answer to a move that is still on its way: the next release would start it.
         held = self._waiting == "standstill" and state.stopped and self._sent is None
         now_s = time.monotonic()
+        if self._waiting == "arrived" and self._sent and self._rests(here, now_s, _STUCK_S):
+            self._fail("stuck", f"stands in its move for {_STUCK_S:g} s; was the program stopped? Look at the pendant")
         if not (held or self._waiting == "rest") or not self._rests(here, now_s):
             return
         self._waiting = None
-        if held:
-            self._report(Standstill(at_s=now_s, pose=here, still_s=_STILL_S))
-        else:
+        if not held:
             self._check_arrived(here)
-            self._report(Arrived(at_s=now_s, pose=here))
+        self._report(Standstill(at_s=now_s, pose=here, still_s=_STILL_S) if held else Arrived(at_s=now_s, pose=here))
 
-    def _rests(self, here: WorkPose, now_s: float) -> bool:
+    def _rests(self, here: WorkPose, now_s: float, for_s: float = _STILL_S) -> bool:
         """Whether the arm has stood here for long enough."""
         where, since_s = self._still or (here, now_s)
         if self._still is None or where.distance_mm(here) > _STILL_MM or where.turn_deg(here) > _STILL_DEG:
             self._still = here, now_s
             return False
-        return now_s - since_s >= _STILL_S
+        return now_s - since_s >= for_s
 
     def _check_arrived(self, here: WorkPose) -> None:
         assert self._target is not None

@@ -1,8 +1,11 @@
 """The controller without EGM: TactileMotion.mod and TactileGuard.mod as two text servers on the cabinet's arm.
 
-Both live only while the RAPID program runs. A move walks the arm's target along a straight line. The stop flag, raised
-on request or by the guard's own dead-man switch, halts it ``REACTION_S`` later on the controller's stop ramp. Time is
-the controller's, so a stalled machine stalls the arm too.
+A move walks the arm's target along a straight line. The stop flag, raised on request or by the guard's own dead-man
+switch, halts it ``REACTION_S`` later on the controller's stop ramp. Time is the controller's, so a stalled machine
+stalls the arm too.
+
+A stop of the controller closes no socket: the guard is a background task and answers on, and the motion server stands
+in its move until main begins anew, which closes the connection of the run before.
 """
 
 import asyncio
@@ -52,6 +55,7 @@ class RapidServers:
     _guard: asyncio.StreamWriter | None = None
     _travel: Travel | None = None
     _silent_s: float = 0.0
+    _ran: bool = False
 
     async def start(self, motion: socket.socket, guard: socket.socket) -> None:
         self.motion_port, self.guard_port = motion.getsockname()[1], guard.getsockname()[1]
@@ -78,17 +82,19 @@ class RapidServers:
 
     def cycle(self) -> None:
         """Advance by 4 ms."""
-        if not self.cabinet.running:
-            self.stop, self._travel = True, None
-            self.hang_up()
-            return
+        if self.cabinet.running and not self._ran:
+            self.stop = True
+            self.hang_up(guard=False)
+        self._ran = self.cabinet.running
         if self._guard is not None:
             self._silent_s += _CYCLE_S
             if self._silent_s > self.silence_s and not self._guard.is_closing():
                 self.stop = True
                 self.stopped_by_silence += 1
                 self.hang_up(motion=False)
-        if self._travel is not None:
+        if not self._ran:
+            self._travel = None  # nothing answers it any more: each start here is from main
+        elif self._travel is not None:
             self._walk(self._travel)
 
     def _walk(self, travel: Travel) -> None:
@@ -124,11 +130,15 @@ class RapidServers:
             writer.write(f"{text}#".encode())
 
     async def _serve_motion(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if not self.cabinet.running:  # nobody listens
+            writer.close()
+            return
         self._motion = writer
         async for text in self._requests(reader, writer):
             if text == "Q":
                 break
-            self._on_move(text)
+            if self.cabinet.running:
+                self._on_move(text)
         self._motion, self.stop = None, True
 
     async def _serve_guard(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -141,7 +151,7 @@ class RapidServers:
     async def _requests(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> AsyncIterator[str]:
         parser = TextParser()
         try:
-            while self.cabinet.running and (data := await reader.read(MAX_TEXT)):
+            while data := await reader.read(MAX_TEXT):
                 for text in parser.feed(data):
                     yield text
         except OSError:

@@ -152,6 +152,20 @@ async def test_trouble_is_a_failure_and_the_arm_takes_no_more_moves(fault):
         assert len(peer.moves) == count
 
 
+async def test_an_arm_whose_program_is_stopped_in_a_move_has_failed_while_both_sockets_stay_open():
+    """A guard in the background answers on: started again, the program would go on down where nobody expects it."""
+    async with connected() as (peer, arm, events):
+        arm.move(pose(z=20.0), "descend", 1e9)
+        await until(lambda: peer.moving)
+        await asyncio.sleep(0.2)
+        peer.cabinet.request_stop()
+        begun_s, event = time.monotonic(), await soon(events)
+        assert (event.code, events.empty()) == ("stuck", True)
+        assert time.monotonic() - begun_s > 0.9
+        assert [writer.is_closing() for writer in (peer._motion, peer._guard)] == [False, False]
+        await until(lambda: peer.stop)
+
+
 async def test_no_move_leaves_the_box():
     async with connected() as (peer, arm, _):
         with pytest.raises(LimitError):
@@ -191,15 +205,14 @@ def test_an_insertion_runs_over_the_sockets_from_program_start_to_program_stop()
     undisturbed(story)
 
 
-def test_an_emergency_stop_which_only_closes_the_sockets_is_named_by_the_controller():
+def test_an_emergency_stop_which_closes_no_socket_is_named_by_the_controller():
     async def story():
         async with bench(device="abb_rapid") as cell:
-            stopping = asyncio.get_running_loop().call_later(
-                1.5, cell.board.update, {"robot": {"emergency_stop": True}}
-            )
-            state = await cell.insert()
-            stopping.cancel()
-            assert state.reason.startswith("arm: link"), state.reason
+            insertion = asyncio.create_task(cell.insert())
+            await until(lambda: cell.rapid.moving)
+            cell.board.update({"robot": {"emergency_stop": True}})
+            state = await insertion
+            assert state.reason.startswith("arm: stuck"), state.reason
             assert cell.runner.farewell == "controller confirms: program stopped, controller emergencystop"
 
     undisturbed(story)
