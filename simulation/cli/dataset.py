@@ -66,6 +66,10 @@ def asked_manifest(options: CollectOptions) -> Manifest:
     if not names or max(names.values()) > 1:
         given = ", ".join(options.objects) or "none"
         raise DatasetError(f"--objects {given}: expected at least one, no two of the same name: a shard is named by it")
+    for there in read_manifest(options.out).scenes if (options.out / MANIFEST).exists() else ():
+        if Path(there).stem in names and there not in options.objects:
+            shards = f"the shards of {Path(there).stem} in {options.out} are of {there}"
+            raise DatasetError(f"--objects {', '.join(options.objects)}: {shards}; name that, or use another folder")
     try:
         sensor = Sensor.load(options.sensor) if options.sensor else None
     except ContractError as error:

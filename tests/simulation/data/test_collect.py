@@ -1,5 +1,6 @@
 """Collection: labels are true, groups stay whole, and a kill at any moment loses and duplicates nothing."""
 
+import contextlib
 import dataclasses
 import hashlib
 import os
@@ -227,6 +228,10 @@ def test_two_scenes_of_one_name_are_refused_before_anything_is_made(tmp_path: Pa
     for objects in (("circle", str(mine)), ()):
         with pytest.raises(DatasetError, match="no two of the same name"):
             asked_manifest(CollectOptions(objects=objects))
+    DatasetWriter(tmp_path, asked_manifest(CollectOptions(out=tmp_path, objects=("circle", "rectangle")))).close()
+    for objects, refused in ((("circle",), False), (("hexagon", "circle"), False), ((str(mine),), True)):
+        with pytest.raises(DatasetError, match="are of circle; name that") if refused else contextlib.nullcontext():
+            asked_manifest(CollectOptions(out=tmp_path, objects=objects))
 
 
 def test_a_scene_that_never_collides_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
