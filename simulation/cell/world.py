@@ -63,6 +63,7 @@ class World:
         self.state: CellState | None = None
         self.error: BaseException | None = None
         self.held = held
+        self.lost = False  # what was grasped last has slipped out of the hand
         self.on_unsolved: Callable[[str], None] = lambda _why: None
         self._mechanics = mechanics
         self._regrasp = regrasp
@@ -111,6 +112,7 @@ class World:
                 self._offset = (x_mm, y_mm, at.yaw_deg - here.yaw_deg)
             self.part_n += 1
 
+        self.lost = False  # at once: the gripper looks again before the next tick
         self._todo.put(do)
 
     def let_go(self, *, put_back: bool = False) -> None:
@@ -168,7 +170,8 @@ class World:
             return
         if state is not None:
             self.state, self._gel = state, np.array(state.gel, np.float32)
-            self.held = not state.grasp_lost
+            self.lost = bool(state.grasp_lost)
+            self.held = not self.lost
 
     def _tilt(self, tilt_deg: float) -> None:
         """Tilt the hand with the arm; in contact it keeps its tilt, since the client straightens in the air only."""
@@ -233,4 +236,4 @@ class HeldPart:
         return near and abs(at.yaw_deg - home.yaw_deg) < 2.0
 
     def lost(self) -> bool:
-        return self._world.state is not None and bool(self._world.state.grasp_lost)
+        return self._world.lost

@@ -8,7 +8,7 @@ import pytest
 
 from robot_client.insertion.geometry import CellFrame, WorkPose
 from simulation.cell.emulators.abb.motion import Pose, tool_down
-from simulation.cell.world import World
+from simulation.cell.world import HeldPart, World
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.worlds import load_scene
 
@@ -18,14 +18,14 @@ FRAMES_N = 12
 class Recorder:
     """Mechanics that only note at what pace they are moved."""
 
-    relaxes, pace_mm_s, tilt_rad = False, 0.0, 0.0
+    relaxes, pace_mm_s, tilt_rad, lost = False, 0.0, 0.0, False
 
     def __init__(self, gel):
         self.gel, self.paces_mm_s = gel, []
 
     def move_to(self, *_):
         self.paces_mm_s.append(self.pace_mm_s)
-        return SimpleNamespace(gel=self.gel, grasp_lost=False)
+        return SimpleNamespace(gel=self.gel, grasp_lost=self.lost)
 
 
 def test_the_mechanics_move_at_the_pace_of_the_arm(monkeypatch):
@@ -43,6 +43,20 @@ def test_the_mechanics_move_at_the_pace_of_the_arm(monkeypatch):
         now_ns[0] += 50_000_000
     assert mechanics.paces_mm_s[0] == 0.0, "where the arm was before, nobody knows"
     assert mechanics.paces_mm_s[1:] == pytest.approx([8.0] * 3)
+
+
+def test_an_object_just_grasped_is_not_lost_because_the_one_before_it_was():
+    """The gripper looks every 5 ms, the mechanics with the next picture: each further object was lost at once."""
+    mechanics, home = Recorder(np.zeros((2, 20, 21, 3))), Pose((0.0, 0.0, 100.0), tool_down(0.0))
+    world = World(mechanics, lambda *_: home, lambda: home, sensor=load_scene("rectangle").sensor, fps=30.0)
+    part = HeldPart(world, 80.0, lambda: home, home, fed=True)
+    mechanics.lost = True
+    world.warm()
+    assert part.lost()
+    part.released()
+    assert part.width_mm() == 80.0
+    part.gripped(40.0)
+    assert not part.lost()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4])
