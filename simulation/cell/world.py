@@ -99,10 +99,13 @@ class World:
     def grip(self, force_n: float, *, fed: bool = False) -> None:
         """Close the fingers on the object with this force (carried out at the next tick).
 
-        A fed object is a new one each time, off by a fixture error that the software does not know.
+        A fed object is a new one each time, off by a fixture error that the software does not know. Fingers that close
+        again on what they hold leave it as it has turned between them.
         """
 
         def do() -> None:
+            if self.held:
+                return
             at = self._regrasp(force_n, self.part_n)
             self._last = None
             self.held = True

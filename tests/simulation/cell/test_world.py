@@ -59,6 +59,26 @@ def test_an_object_just_grasped_is_not_lost_because_the_one_before_it_was():
     assert not part.lost()
 
 
+def test_fingers_that_close_again_on_what_they_hold_do_not_grasp_it_anew():
+    """As a client does that finds the gripper without a part: the object would hang upright again, and another one."""
+    numbers, home = [], Pose((0.0, 0.0, 100.0), tool_down(0.0))
+
+    def regrasp(_force_n, number):
+        numbers.append(number)
+        return home
+
+    mechanics, sensor = Recorder(np.zeros((2, 20, 21, 3))), load_scene("rectangle").sensor
+    world = World(mechanics, regrasp, lambda: home, sensor=sensor, fps=30.0, held=False)
+    part = HeldPart(world, 80.0, lambda: home, home, fed=True)
+    part.gripped(40.0)
+    part.gripped(40.0)
+    part.released()
+    part.gripped(40.0)
+    while not world._todo.empty():
+        world._todo.get()()
+    assert numbers == [0, 0]
+
+
 @pytest.mark.parametrize("share", [0.0, 0.4])
 def test_a_gel_that_relaxes_goes_on_creeping_while_the_arm_stands(share):
     scene = load_scene("rectangle", gel__relaxation_share=share, gel__relaxation_s=0.2)
