@@ -107,8 +107,8 @@ class InsertionSession:
             self.insertion_id, self.continues = message.insertion_id, message.continues is not None
             self.most_tilt_deg = message.most_tilt_deg
             self.takes_afresh, self.inserts = message.takes_afresh, message.purpose == "insert"
-            known = self.decider.controller.name if self.decider else message.controller  # of a regrasped object
-            self.controller_name = known or self.controller_name
+            regrasped = self.decider and self.decider.controller.name
+            self.controller_name = regrasped or message.controller or self.controller_name
         return [
             wire.ServiceHello(
                 insertion_id=self.insertion_id,
@@ -153,11 +153,11 @@ class InsertionSession:
             return [attempt.decision]
         if attempt is None or not self._is_current(message.attempt, {Stage.ARMED, Stage.STOPPED}):
             return [self._fault("protocol", f"stopped in attempt {message.attempt}, which is not armed")]
-        if attempt.stage is Stage.ARMED or message.outcome == "dropped":  # repeated, it changes nothing
-            attempt.ends(message)
         if message.outcome == "dropped":
+            attempt.ends(message)
             return self._end(attempt, "part_lost")
-        if attempt.stage is Stage.ARMED:
+        if attempt.stage is Stage.ARMED:  # repeated, it changes nothing
+            attempt.ends(message)
             attempt.stage, attempt.stopped_ns = Stage.STOPPED, now_ns - round(message.still_s * 1e9)
         return self._conclude(now_ns)
 
@@ -217,8 +217,7 @@ class InsertionSession:
         attempt.take_in(both)
         if attempt.outcome == "inserted":
             return replies + self._conclude(now_ns)
-        for work in plan(self.models, attempt):
-            replies += self._submit(work, now_ns)
+        replies += [answer for work in plan(self.models, attempt) for answer in self._submit(work, now_ns)]
         return [*replies, *enough_message(attempt)]
 
     def _submit(self, work: Work, now_ns: int) -> Replies:

@@ -36,6 +36,9 @@ def test_a_warning_of_the_web_server_waits_for_no_reader_of_standard_error(monke
     out, settings = Stuck(), SimpleNamespace(log_json=False)
     monkeypatch.setattr("sys.stderr", out)
     monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    for name in ("uvicorn", "uvicorn.error"):  # another test may have begun a server with the library's own logging
+        monkeypatch.setattr(logging.getLogger(name), "handlers", [])
+        monkeypatch.setattr(logging.getLogger(name), "propagate", True)
     warn: Any = logging.getLogger("uvicorn.error").warning
     with run.logging_to_standard_error(settings):  # type: ignore[arg-type]
         loop = threading.Thread(target=warn, args=["Invalid HTTP request received."], daemon=True)

@@ -19,7 +19,7 @@ from service.session.insertion import Insertion
 from service.session.manager import InsertionManager
 from service.settings import Settings
 from tests.service import drawn
-from tests.service.session.driving import Client, wait_for_recorders
+from tests.service.session.driving import Client, arm, wait_for_recorders
 
 
 class Cell:
@@ -36,10 +36,12 @@ class Cell:
         self.manager = InsertionManager(Settings(**usual | settings), models, None, cameras, hub, lambda _: None)
         self.client = Client(self.manager)
 
-    def ends(self, insertion_id: str, **hello: Any) -> Client:
-        """An insertion that is opened and aborted at once; its client."""
+    def ends(self, insertion_id: str, *messages: Any, **hello: Any) -> Client:
+        """An insertion that is opened and aborted after these messages; its client."""
         client = Client(self.manager)
         self.manager.connect(wire.ClientHello(insertion_id=insertion_id, client="test", **hello), client.send)
+        for message in messages:
+            self.manager.receive(message, client.send)
         self.manager.abort("operator", "done")
         wait_for_recorders()
         return client
@@ -228,7 +230,7 @@ def test_the_version_that_decides_now_begins_an_insertion_and_the_one_before_goe
     first, second = (ModelSet(models.steps, models.models) for _ in range(2))
     versions = OtherVersions(first)
     cell.manager.versions = versions  # type: ignore[assignment]
-    cell.ends("one")
+    cell.ends("one", arm())
     versions.active = second
     cell.ends("two", continues="one")
     cell.ends("three")
