@@ -43,6 +43,8 @@ def _best_model(
         score = n * np.log(squares / n + 1e-12) + (8 + count) * np.log(n)
         if score < least:
             best, least = model, score
+    if best is None:  # false spots around the grid, as at a dark edge of the gel, bend a lens until it folds the frame
+        best = _model_of(raw, cells, size, 0)
     return best if best is None else Projection(best.homography, best.lens, _warp(best.plane(raw), cells))
 
 

@@ -112,6 +112,21 @@ def test_the_gaps_between_light_markers_are_no_markers():
         assert fit_grid(printed(CELLS, ink)) is None
 
 
+@pytest.mark.parametrize("beyond", [0.95, 1.05])
+@pytest.mark.parametrize("around", [2.0, 40.0])
+def test_the_dark_edge_of_a_gel_that_ends_a_pitch_beyond_its_markers_is_none_of_them(beyond: float, around: float):
+    """It passes for a ring of them, whose places no lens explains."""
+    frame = np.asarray(cv2.copyMakeBorder(printed(CELLS, 0.7), 80, 160, 100, 113, cv2.BORDER_REPLICATE), np.float64)
+    first, last = (np.array([130, 110]) + 24 * node for node in (-beyond, np.array([14, 10]) + beyond))
+    gel = np.zeros(frame.shape[:2])
+    gel[round(first[1]) : round(last[1]), round(first[0]) : round(last[0])] = 1
+    gel = cv2.GaussianBlur(gel, (0, 0), 2)[..., None]
+    grid = fit_grid((gel * frame + (1 - gel) * around).astype(np.uint8))
+    assert grid is not None
+    assert (grid.shape, grid.displaced_n) == ((11, 15), 0)
+    assert np.abs(grid.raw_px - (24 * grid.cells + [130, 110])).max() < 0.5
+
+
 @pytest.mark.parametrize(
     ("cells", "ink", "why"), [(HEXAGONAL, 0.7, "hexagonal"), (CELLS, -0.8, "lighter than the gel around them")]
 )
