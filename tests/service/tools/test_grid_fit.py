@@ -91,12 +91,12 @@ def test_a_gel_without_markers_shows_no_grid(seed):
     assert fit_grid(np.clip(noise, 0, 255).astype(np.uint8)) is None
 
 
-def printed(cells: np.ndarray, ink: float) -> np.ndarray:
+def printed(cells: np.ndarray, ink: float, light: float = 120.0) -> np.ndarray:
     """A frame of round markers at ``cells`` [n, 2], 24 px apart; dark by a share of the light, or lighter below 0."""
     cover = np.zeros((320, 427), np.uint8)
     for place in 24 * cells + 30:
         cv2.circle(cover, _fixed(place), 5 * SCALE, 255, -1, cv2.LINE_AA, 3)
-    frame = 120 * (1 - ink * cv2.GaussianBlur(cover, (0, 0), 0.8) / 255.0)
+    frame = light * (1 - ink * cv2.GaussianBlur(cover, (0, 0), 0.8) / 255.0)
     noise = np.random.default_rng(0).normal(0, 3, (320, 427, 3))
     return np.clip(frame[..., None] + noise, 0, 255).astype(np.uint8)
 
@@ -128,14 +128,19 @@ def test_the_dark_edge_of_a_gel_that_ends_a_pitch_beyond_its_markers_is_none_of_
 
 
 @pytest.mark.parametrize(
-    ("cells", "ink", "why"), [(HEXAGONAL, 0.7, "hexagonal"), (CELLS, -0.8, "lighter than the gel around them")]
+    ("cells", "ink", "light", "why"),
+    [
+        (HEXAGONAL, 0.7, 120, "hexagonal"),
+        (CELLS, -0.8, 120, "lighter than the gel around them"),
+        (CELLS, -15.0, 3, "lighter than the gel around them"),
+    ],
 )
 def test_a_print_that_cannot_be_followed_is_named_and_leaves_no_profile(
-    cells: np.ndarray, ink: float, why: str, tmp_path, capsys
+    cells: np.ndarray, ink: float, light: float, why: str, tmp_path, capsys
 ):
     """Offset rows fit a grid well, but rectified to right angles the gel would be sheared."""
     picture, profile = tmp_path / "a.png", tmp_path / "mine.toml"
-    cv2.imwrite(str(picture), printed(cells, ink))
+    cv2.imwrite(str(picture), printed(cells, ink, light))
     assert main(["calibrate", "--picture", str(picture), "--new-profile", str(profile)]) == 2
     assert why in capsys.readouterr().err
     assert not profile.exists()
