@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from service.cameras.capture import CameraError
 from service.cameras.sources import open_source
 from service.contract import Finger, FrameSpec, Sensor
+from service.contract.frames import MAX_SIDE_PX
 from service.contract.sensor import Edge
 from service.perception.lens import transformed
 from service.perception.light import light_of
@@ -82,6 +83,9 @@ def find_grid(image: NDArray[np.uint8], name: str, sensor: Sensor | None, up: Ed
 
     Without a sensor that states it, the first row is that at the edge ``up``.
     """
+    if max(image.shape[:2]) > MAX_SIDE_PX:
+        size = f"{image.shape[1]} x {image.shape[0]}"
+        raise CalibrationError(f"{name}: the frame is {size} px, expected {MAX_SIDE_PX} px a side or less")
     grid = fit_grid(image, sensor, up if sensor is None else sensor.up)
     if grid is None:
         cause = _cause(image, sensor)

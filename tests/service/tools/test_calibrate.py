@@ -145,6 +145,15 @@ def test_markers_at_another_distance_are_another_gel(tmp_path):
     height, width = whole.shape[:2]
     nearer = cv2.resize(whole[height // 10 : -height // 10, width // 10 : -width // 10], (width, height))
     cv2.imwrite(str(picture), nearer)
+def test_a_picture_larger_than_any_frame_is_refused_in_words_and_leaves_no_row_of_an_earlier_one(tmp_path, capsys):
+    picture, row = tmp_path / "a.jpg", tmp_path / "a.json"
+    row.write_text('{"residual_px": 0.1}')
+    cv2.imwrite(str(picture), cv2.resize(still(renderer("left", 1)), (5472, 4104)))
+    assert main(["calibrate", "--picture", str(picture), "--json", str(row)]) == 2
+    assert "the frame is 5472 x 4104 px, expected 4096 px a side or less" in capsys.readouterr().err
+    assert json.loads(row.read_text())["residual_px"] is None
+
+
     assert main(["calibrate", "--picture", str(picture), "--sensor", "gelsight_mini", "--json", str(row)]) == 0
     assert "is it another gel or lens" in json.loads(row.read_text())["refused"]
 
