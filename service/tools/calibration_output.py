@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from service.contract import ContractError, Sensor
+from service.contract import ContractError, FrameSpec, Sensor
 from service.contract.refusals import describe
 from service.perception.lens import transformed
-from service.perception.rectification import Rectifier
+from service.perception.markers.tracker import MarkerTracker
+from service.perception.rectification import CameraCalibration, Rectifier
 from service.tools.calibrate import Fit
 from service.tools.grid_fit import GridFit
 
@@ -124,12 +125,21 @@ def _own_size(image: NDArray[np.uint8], grid: GridFit, pitch_px: float) -> tuple
 
 
 def _fills(image: NDArray[np.uint8], grid: GridFit, like: Sensor, pitch_mm: float) -> bool:
-    """Whether the grid has room in the frame of ``like`` and the picture shows that frame to its edges."""
+    """Whether the grid has room in the frame of ``like``, and the picture shows that frame to its edges.
+
+    Nor may more markers be tracked in it than the grid has.
+    """
     pitch_px, size = pitch_mm / like.mm_per_px, (like.width_px, like.height_px)
     if not pitch_px >= _LEAST_PX:
         return False
     first, corners = _view(grid, pitch_px, size)
-    return _shown(image, grid, corners) and bool(first.min() >= pitch_px / 2)
+    if not (_shown(image, grid, corners) and first.min() >= pitch_px / 2):
+        return False
+    scaled = grid.projection.scaled(pitch_px, first)
+    raw = FrameSpec(height_px=image.shape[0], width_px=image.shape[1], rectified=False)
+    camera = CameraCalibration(scaled.homography, raw, like.rectified, scaled.lens, scaled.warp)
+    tracked = MarkerTracker().update(Rectifier(camera).apply(image), 0).valid.shape
+    return bool((np.array(tracked) <= grid.shape).all())  # not where the gel's own edge passes for more of them
 
 
 def _shown(image: NDArray[np.uint8], grid: GridFit, corners: NDArray[np.float64]) -> bool:

@@ -14,6 +14,7 @@ from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.worlds import load_scene
 from tests.service.tools.test_calibrate import renderer, still
+from tests.service.tools.test_grid_fit import printed
 
 
 def test_a_new_profile_has_the_counts_that_are_seen(tmp_path):
@@ -39,6 +40,22 @@ def test_a_new_profile_has_the_frame_of_the_released_networks_where_gel_and_pict
     fit = fit_camera(image, "left", sensor)
     assert fit.residual_px < 0.5
     assert fit.camera.mm_per_px == sensor.mm_per_px
+
+
+@pytest.mark.parametrize(("around", "served"), [(90.0, True), (2.0, False)])
+def test_a_new_profile_ends_where_the_edge_of_the_gel_would_pass_for_markers(around: float, served: bool):
+    whole = printed(np.stack(np.meshgrid(np.arange(12), np.arange(9)), -1).reshape(-1, 2).astype(float), 0.7)
+    frame = np.asarray(cv2.copyMakeBorder(whole, 120, 200, 120, 200, cv2.BORDER_REPLICATE), np.float64)
+    gel = np.zeros(frame.shape[:2])
+    gel[150 - 24 : 150 + 9 * 24, 150 - 24 : 150 + 12 * 24] = 1
+    gel = cv2.GaussianBlur(gel, (0, 0), 2)[..., None]
+    image = (gel * frame + (1 - gel) * around).astype(np.uint8)
+    grid = find_grid(image, "left", None)
+    assert grid.shape == (9, 12)
+    sensor = profile_of(image, grid, "mine", 1.5, 30, Sensor.load())
+    assert (sensor.rectified == Sensor.load().rectified) is served
+    shown = MarkerTracker().update(Rectifier(fit_camera(image, "left", sensor).camera).apply(image), 0)
+    assert shown.valid.shape == grid.shape
 
 
 def test_a_new_profile_ends_where_the_picture_of_a_larger_gel_ends():
