@@ -53,8 +53,12 @@ def main(arguments: Sequence[str]) -> int:
 
 def _named(runs: Sequence[Path], root: Path) -> dict[str, Path]:
     """The runs by the names of their folders, or by their paths where two folders have one name."""
-    often = Counter(run.resolve().name for run in runs)
-    return {name if often[name := run.resolve().name] == 1 else run.relative_to(root).as_posix(): run for run in runs}
+    names = [run.resolve().name if run.name in {"", ".."} else run.name for run in runs]  # a link's, not its target's
+    often = Counter(names)
+    return {
+        name if often[name] == 1 else run.relative_to(root).as_posix(): run
+        for name, run in zip(names, runs, strict=True)
+    }
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:

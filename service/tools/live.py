@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import FINGERS, FrameSpec, TactileFrame
+from service.contract import FINGERS, Finger, FrameSpec, TactileFrame
 from service.perception.finger import TactileFinger
 from service.perception.markers.field import MarkerField
 from service.perception.observation import Observation
@@ -27,12 +27,10 @@ CAUSES = ("markers", "stalled", "imprint", "other")
 
 
 class LiveWatch:
-    """A session's fingers, armed at rest."""
+    """A session's fingers, armed at rest; each finger's pictures have the size of its first one, in ``pictures``."""
 
-    def __init__(self, shape: tuple[int, ...], open_gels: Sequence[TactileFrame] = ()) -> None:
-        spec = FrameSpec(height_px=shape[0], width_px=shape[1])
-        itself = CameraCalibration(np.eye(3), spec, spec)  # changes no picture, but costs what any calibration does
-        self.left, self.right = TactileFinger("left", spec, itself), TactileFinger("right", spec, itself)
+    def __init__(self, pictures: Sequence[Image], open_gels: Sequence[TactileFrame] = ()) -> None:
+        self.left, self.right = (_finger(finger, picture) for finger, picture in zip(FINGERS, pictures, strict=True))
         self._fingers = Fingers(self.left, self.right)
         self.refused = [why for frame in open_gels if (why := self._fingers.watch(frame.finger).learn_open(frame))]
         self._still = [Standstill() for _ in FINGERS]
@@ -74,6 +72,12 @@ class LiveWatch:
         return observation
 
 
+def _finger(finger: Finger, picture: Image) -> TactileFinger:
+    spec = FrameSpec(height_px=picture.shape[0], width_px=picture.shape[1])
+    itself = CameraCalibration(np.eye(3), spec, spec)  # changes no picture, but costs what any calibration does
+    return TactileFinger(finger, spec, itself)
+
+
 def _cause(observation: Observation) -> str:
     """Markers that lag, a patch that stopped moving, the imprint; or no slip: a release, too far a motion, no sight."""
     if not observation.slip.slip:
@@ -94,7 +98,7 @@ def stops_of(
     opened: list[TactileFrame] = []
     if open_frame is not None:
         opened = _taken(open_frame, next(itertools.islice(pairs(), open_frame, None)), rate_hz)
-    watch = LiveWatch(next(pairs())[0].shape, opened)
+    watch = LiveWatch(next(pairs()), opened)
     begin = open_frame if open_frame is not None and open_frame < held.start else 0
     frames: dict[str, list[int]] = {cause: [] for cause in ("armed", *CAUSES)}
     for k, pair in enumerate(itertools.islice(pairs(), begin, held.stop), begin):

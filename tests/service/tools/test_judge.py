@@ -38,11 +38,15 @@ def record(folder, touched, frames=48, put_down=0, repeats=1, enlarged=1):
         out.release()
 
 
-def write_black(clip, frames, size=(320, 240)):
-    out = cv2.VideoWriter(str(clip), cv2.VideoWriter_fourcc(*"MJPG"), 25, size)
-    for _ in range(frames):
-        out.write(np.zeros((size[1], size[0], 3), np.uint8))
+def write(clip, pictures):
+    out = cv2.VideoWriter(str(clip), cv2.VideoWriter_fourcc(*"MJPG"), 25, pictures[0].shape[1::-1])
+    for picture in pictures:
+        out.write(picture)
     out.release()
+
+
+def write_black(clip, frames, size=(320, 240)):
+    write(clip, [np.zeros((size[1], size[0], 3), np.uint8)] * frames)
 
 
 def rows_of(runs, out, *options):
@@ -143,10 +147,7 @@ def test_a_finger_that_goes_blind_in_a_run_hides_no_loss(tmp_path):
     record(tmp_path / "box", (18, 44), frames=56)
     clip = tmp_path / "box" / "camera_2.avi"
     frames = [image for image, _ in clip_images(clip)]
-    out = cv2.VideoWriter(str(clip), cv2.VideoWriter_fourcc(*"MJPG"), 25, frames[0].shape[1::-1])
-    for k, image in enumerate(frames):
-        out.write(image if k < 30 else np.zeros_like(image))
-    out.release()
+    write(clip, [image if k < 30 else np.zeros_like(image) for k, image in enumerate(frames)])
     rows, _ = rows_of(tmp_path, tmp_path / "rows.json")
     assert 44 <= rows["box"]["lost_frame"] <= 46
 
@@ -178,6 +179,24 @@ def test_runs_of_one_name_are_told_apart_and_a_wrong_folder_destroys_no_rows(tmp
     assert set(rows) == {"monday/box", "tuesday/box"}
     kept, returned = rows_of(tmp_path / "no such", tmp_path / "rows.json")
     assert (kept, returned) == (rows, 2)
+
+
+def test_a_run_is_named_as_its_link_and_not_as_what_that_links_to(tmp_path):
+    record(tmp_path / "2024-05-01T10", (5, 8), 8)
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "box_1_slip").symlink_to(tmp_path / "2024-05-01T10")
+    rows, _ = rows_of(tmp_path / "runs", tmp_path / "rows.json")
+    assert set(rows) == {"box_1_slip"}
+
+
+def test_fingers_with_pictures_of_two_sizes_are_judged(tmp_path):
+    record(tmp_path / "box", (18, 38))
+    clip = tmp_path / "box" / "camera_2.avi"
+    frames = [image[:-8, :-7] for image, _ in clip_images(clip)]
+    write(clip, frames)
+    rows, returned = rows_of(tmp_path, tmp_path / "rows.json")
+    assert (returned, rows["box"]["contact_frame"]) == (0, 18)
+    assert rows["box"]["live"]["armed_frames"]
 
 
 def test_two_videos_of_one_name_are_not_mistaken_for_one_finger(tmp_path, capsys):
