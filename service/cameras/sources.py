@@ -1,6 +1,7 @@
 """Cameras by their URL: MJPEG over HTTP, V4L2, a recording, frames pushed by a client."""
 
 import http.client
+import os
 import queue
 import re
 import select
@@ -261,6 +262,8 @@ def open_source(url: str, *, frame_rate_hz: float = 30.0) -> Source:
     if url == "push:":
         return PushSource()
     path = Path(url.removeprefix("file:"))
+    if device := re.fullmatch(r"/dev/video(\d+)", os.path.realpath(path)):  # a link in /dev/v4l/by-id
+        return V4l2Source(int(device[1]), frame_rate_hz)
     if url.startswith("file:") or (url and path.exists()):
         return RecordingSource(path)
     hint = nearest(url.split(":", maxsplit=1)[0] + ":", SCHEMES)

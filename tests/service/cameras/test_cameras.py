@@ -224,6 +224,12 @@ def test_a_video_device_gives_its_frames_and_is_given_back_when_unplugged(monkey
     assert device.released
 
 
+def test_a_link_to_a_video_device_is_that_device_and_no_recording(tmp_path: Path) -> None:
+    """As in /dev/v4l/by-id: as a recording its pictures would be stamped when they are read."""
+    (tmp_path / "usb-camera-index0").symlink_to("/dev/video63")
+    assert open_source(str(tmp_path / "usb-camera-index0")).name == "v4l2:63"
+
+
 def test_an_absent_video_device_says_so_and_opencv_says_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(CameraError, match="cannot open /dev/video63; is it plugged in"):
         next(V4l2Source(63, 30.0).frames(threading.Event()))
