@@ -57,10 +57,19 @@ class Source(Protocol):
 
 def decode_jpeg(jpeg: bytes) -> NDArray[np.uint8]:
     """BGR pixels of one JPEG; raises CameraError if it is broken."""
-    pixels = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR) if jpeg else None
+    pixels = decoded(np.frombuffer(jpeg, np.uint8))
     if pixels is None:
         raise CameraError(f"{len(jpeg)} bytes are not a JPEG image")
-    return np.asarray(pixels, np.uint8)
+    return pixels
+
+
+def decoded(encoded: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
+    """The BGR picture in the bytes of a file; None if they hold none, or if its stated size is too large for one."""
+    try:
+        image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
+    except cv2.error:
+        return None
+    return None if image is None else np.asarray(image, np.uint8)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.cameras.capture import CameraError, Capture, now_ns
+from service.cameras.capture import CameraError, Capture, decoded, now_ns
 
 IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
 
@@ -76,6 +76,4 @@ def _opened(video: Path) -> cv2.VideoCapture:
 
 def picture_in(file: Path) -> NDArray[np.uint8] | None:
     """The BGR picture in a file of any name; None if it holds none. Raises OSError if it cannot be read."""
-    encoded = np.fromfile(file, np.uint8)
-    image = cv2.imdecode(encoded, cv2.IMREAD_COLOR) if encoded.size else None
-    return None if image is None else np.asarray(image, np.uint8)
+    return decoded(np.fromfile(file, np.uint8))

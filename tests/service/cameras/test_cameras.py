@@ -70,10 +70,13 @@ def test_a_few_broken_pictures_are_left_out_and_ten_in_a_row_are_a_lost_camera()
         camera._publish(Capture(9, None, b"no picture"))
 
 
-def test_an_empty_picture_is_broken_like_any_other() -> None:
+@pytest.mark.parametrize("stated_px", [None, b"\xff\xdc\xff\xdc"])
+def test_a_picture_that_is_empty_or_states_an_impossible_size_is_broken_like_any_other(stated_px: bytes | None) -> None:
     whole = cv2.imencode(".jpg", np.zeros((8, 8, 3), np.uint8))[1].tobytes()
+    size = whole.index(b"\xff\xc0") + 5
+    broken = b"" if stated_px is None else whole[:size] + stated_px + whole[size + 4 :]
     camera = Camera("left", PushSource(), lambda _: None, lambda *_: None)
-    for stamp_ns, jpeg in enumerate((whole, b"", whole)):
+    for stamp_ns, jpeg in enumerate((whole, broken, whole)):
         camera._publish(Capture(stamp_ns, None, jpeg))
     assert camera.latest is not None
     assert (camera.state, camera.latest.frame.captured_ns) == ("live", 2)
