@@ -101,12 +101,12 @@ def find_grid(image: NDArray[np.uint8], name: str, sensor: Sensor | None, up: Ed
 
 def _cause(image: NDArray[np.uint8], sensor: Sensor | None) -> str:
     """The likely reason why a raw frame shows no grid."""
+    if fit_grid(np.asarray(255 - image, np.uint8), sensor) is not None:  # on a dark gel, most of the frame is black
+        return "its markers are lighter than the gel around them, and only darker ones are tracked"
     level = float(image.mean())
     if level <= _DARK:
         return "the frame is black: is the light on?"
     if level >= _GLARE:
-    if fit_grid(np.asarray(255 - image, np.uint8), sensor) is not None:  # on a dark gel, most of the frame is black
-        return "its markers are lighter than the gel around them, and only darker ones are tracked"
         return "the frame is white: is the light too bright?"
     return "is this a sensor with markers in straight rows and columns, and is it in focus?"
 

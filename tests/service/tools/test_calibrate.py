@@ -137,14 +137,6 @@ def test_a_picture_that_cannot_be_read_leaves_no_row_of_an_earlier_one(tmp_path,
         assert why in figures["refused"]
 
 
-def test_markers_at_another_distance_are_another_gel(tmp_path):
-    """As many markers as the profile allows, but further apart: its millimetres would be wrong."""
-    picture, row = tmp_path / "a.png", tmp_path / "a.json"
-    scene = load_scene("circle", camera__sensor="gelsight_mini")
-    whole = Renderer(Appearance.draw(scene, "left", 3)).raw(np.zeros((7, 9, 3), np.float32), 0)
-    height, width = whole.shape[:2]
-    nearer = cv2.resize(whole[height // 10 : -height // 10, width // 10 : -width // 10], (width, height))
-    cv2.imwrite(str(picture), nearer)
 def test_a_picture_larger_than_any_frame_is_refused_in_words_and_leaves_no_row_of_an_earlier_one(tmp_path, capsys):
     picture, row = tmp_path / "a.jpg", tmp_path / "a.json"
     row.write_text('{"residual_px": 0.1}')
@@ -154,6 +146,14 @@ def test_a_picture_larger_than_any_frame_is_refused_in_words_and_leaves_no_row_o
     assert json.loads(row.read_text())["residual_px"] is None
 
 
+def test_markers_at_another_distance_are_another_gel(tmp_path):
+    """As many markers as the profile allows, but further apart: its millimetres would be wrong."""
+    picture, row = tmp_path / "a.png", tmp_path / "a.json"
+    scene = load_scene("circle", camera__sensor="gelsight_mini")
+    whole = Renderer(Appearance.draw(scene, "left", 3)).raw(np.zeros((7, 9, 3), np.float32), 0)
+    height, width = whole.shape[:2]
+    nearer = cv2.resize(whole[height // 10 : -height // 10, width // 10 : -width // 10], (width, height))
+    cv2.imwrite(str(picture), nearer)
     assert main(["calibrate", "--picture", str(picture), "--sensor", "gelsight_mini", "--json", str(row)]) == 0
     assert "is it another gel or lens" in json.loads(row.read_text())["refused"]
 
