@@ -7,6 +7,7 @@ from typing import Any
 from unittest.mock import Mock
 
 import pytest
+import structlog
 
 from service.cli import run
 from tests.service.observability.test_log_lines import Stuck
@@ -49,3 +50,15 @@ def test_a_warning_of_the_web_server_waits_for_no_reader_of_standard_error(monke
     assert not waited
     assert out.getvalue() == "Invalid HTTP request received.\n"
     assert logging.getLogger().handlers == []
+
+
+def test_a_clients_text_reaches_the_logs_terminal_as_text(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a reason to give up, or what a camera answers: it must not clear the screen, nor write over other lines."""
+    monkeypatch.setattr(logging.getLogger(), "handlers", [])
+    with run.logging_to_standard_error(SimpleNamespace(log_json=False)):  # type: ignore[arg-type]
+        structlog.get_logger().warning("abort", reason="\x1b[2J\x1b]0;owned\x07inserted\x9b1A\u202e")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.isprintable()
+    assert "\\x1b[2J\\x1b]0;owned\\x07inserted" in line
