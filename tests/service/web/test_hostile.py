@@ -12,6 +12,7 @@ from websockets.sync.client import connect
 
 from tests.benchmarks.hostile import MOST_MB, NO_CAMERAS, bodies, greeted_s, head, idle, most_mb
 from tests.service.process import ServiceProcess, service_process
+from tests.waiting import wait_for
 
 MODELS = Path(__file__).parents[3] / "models"
 INFER = "/v2/models/direction.step/infer"
@@ -65,9 +66,11 @@ def test_two_thousand_idle_connections_keep_nobody_out(service: ServiceProcess, 
 
 def test_sockets_that_only_watch_are_few_and_the_robots_is_not_among_them(service: ServiceProcess) -> None:
     with contextlib.ExitStack() as stack:
-        for path in ("/v1/insertion", "/v1/live"):
-            for _ in range(60):
-                stack.enter_context(connect(service.url(path, "ws"), open_timeout=20, close_timeout=0.1))
+        crowds = [
+            [stack.enter_context(connect(url, open_timeout=20, close_timeout=0.1)) for _ in range(60)]
+            for url in (service.url("/v1/insertion", "ws"), service.url("/v1/live", "ws"))
+        ]
+        wait_for(lambda: [sum(link.close_code == 1013 for link in links) for links in crowds] == [60 - 8, 60 - 24])
         greeted_s(service)
         assert httpx.get(service.url("/healthz")).status_code == 200
 
