@@ -214,8 +214,8 @@ evaluate: $(RUN_VENV)/ready ## closed loop in lock step, COUNT insertions per ob
 	$(RUN) -m simulation evaluate --json $(EVALUATION) --count $(COUNT) --perception $(PERCEPTION)
 
 PERCEPTION ?= pictures
-trust: $(RUN_VENV)/ready ## claims under adversity: 10,000 insertions with drawn faults, worlds, objects and starts: docs/trust.md
-	$(RUN) -m simulation trust --out runs/trust --docs docs
+trust: $(RUN_VENV)/ready ## claims under adversity: 10,000 insertions with drawn faults, worlds, objects and starts: docs/trust.md (WORLDS= a folder of more worlds)
+	$(RUN) -m simulation trust --out runs/trust --docs docs $(if $(WORLDS),--worlds $(WORLDS))
 
 drawn-worlds: $(RUN_VENV)/ready ## the closed loop in 300 drawn worlds with drawn objects, all variants: docs/drawn_worlds.md
 	$(RUN) -m simulation drawn-worlds --out runs/drawn_worlds --docs docs
