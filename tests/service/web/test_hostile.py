@@ -25,11 +25,18 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess
         yield running
 
 
-@pytest.mark.parametrize("path", ["/v1/decisions", INFER, "/v2/repository/index", "/nowhere"])
-def test_a_body_is_refused_by_its_declared_length_at_once(service: ServiceProcess, path: str) -> None:
+@pytest.mark.parametrize(
+    ("path", "bytes_n"),
+    [
+        *((path, 10 * 10**9) for path in ("/v1/decisions", INFER, "/v2/repository/index", "/nowhere")),
+        ("/v1/decisions", (16 << 20) + 1),
+        (INFER, (6 << 20) + 1),  # as JSON
+    ],
+)
+def test_a_body_is_refused_by_its_declared_length_at_once(service: ServiceProcess, path: str, bytes_n: int) -> None:
     with socket.create_connection(("127.0.0.1", service.port), 10) as link:
         begun = time.monotonic()
-        link.sendall(head(service, path, f"Content-Length: {10 * 10**9}"))
+        link.sendall(head(service, path, f"Content-Length: {bytes_n}"))
         assert link.recv(4096).startswith(b"HTTP/1.1 413 ")
         assert time.monotonic() - begun < 2.0
 
