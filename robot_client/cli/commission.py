@@ -162,7 +162,7 @@ class Probing:
 
     def teach(self, record: Record, path: Path) -> None:
         """Write the configuration of the commissioned cell beside its record."""
-        text = teach(self._settings.tables(), self._settings.ramps.descend.speed_mm_s, record, path)
+        text = teach(self._settings.tables(), record, path)
         show(f"{text}; `insert --live --config {path.with_name(CELL)}` reads that")
 
     async def gels(self) -> dict[Finger, str]:

@@ -27,7 +27,7 @@ class Record(Contract):
     ``timed`` are the presses at two speeds. ``sha256`` covers all other fields as written.
     """
 
-    version: Literal[2] = 2
+    version: Literal[3] = 3
     begun: str
     seed: int = Field(ge=0)
     object: str = ""
@@ -82,7 +82,7 @@ def read_record(path: Path) -> Record | None:
         return None
     except OSError as error:
         raise ContractError(f"cannot read {path}: {error.strerror}") from None
-    except ValueError as error:  # JSON is the form of older versions
+    except ValueError as error:
         why = first_error(error) if isinstance(error, ValidationError) else str(error)
         raise ContractError(f"{path} is no record of a commissioning: {why}; commission the cell again") from None
     if record.sha256 != record.digest():

@@ -13,25 +13,26 @@ LEAST_MM = 0.5  # tops that differ by less are as taught: half of what full dept
 LEAST_N = 2  # touches that tell it
 
 
-def lower_mm(record: Record, speed_mm_s: float) -> float | None:
+def lower_mm(record: Record) -> float | None:
     """How much lower the blocks' tops are than taught, less what is late; None where that is not known.
 
-    An object that hangs so much higher in the hand is the same. ``speed_mm_s``: of touches whose own is not recorded.
-    The cell's speed may have been lowered since, and an early touch is met at that of a fast leg.
+    An object that hangs so much higher in the hand is the same. Each touch is late at its own speed: an early one is
+    met at that of a fast leg.
     """
-    touches = [(one.below_mm, one.touch_mm_s or speed_mm_s) for one in record.signs if one.below_mm is not None]
-    if len(touches) < LEAST_N or (late_s := record.late_s) is None:
-        return None
-    return fmean(below_mm - mm_s * late_s for below_mm, mm_s in touches)
+    late_s, lower = record.late_s, list[float]()
+    for one in record.signs:
+        if one.below_mm is not None and one.touch_mm_s is not None and late_s is not None:
+            lower.append(one.below_mm - one.touch_mm_s * late_s)
+    return fmean(lower) if len(lower) >= LEAST_N else None
 
 
-def teach(tables: Mapping[str, Any], speed_mm_s: float, record: Record, path: Path) -> str:
+def teach(tables: Mapping[str, Any], record: Record, path: Path) -> str:
     """Write ``tables``, those of the cell of the record at ``path``, beside it; returns what was taught.
 
     The approach gets as much lower as the tops are: then an insertion ends as deep below them as was asked for. It
     counts from where it was when the record was begun, so that it is not taught twice.
     """
-    z_mm, lower = record.approach_z_mm, lower_mm(record, speed_mm_s)
+    z_mm, lower = record.approach_z_mm, lower_mm(record)
     text = "how high the blocks' tops are was not felt: task.approach_z_mm stays"
     if lower is not None and z_mm is not None:
         taught_z_mm = round(z_mm - lower, 1) if abs(lower) >= LEAST_MM else z_mm

@@ -1,9 +1,6 @@
 """The wiring check of a new cell: four probes with known errors, and which mistakes their answers name."""
 
 import math
-from typing import Any
-
-from pydantic import SerializerFunctionWrapHandler, model_serializer
 
 from robot_client.insertion.geometry import WorkPose
 from service.contract import wire
@@ -43,12 +40,6 @@ class Probe(Contract):
     slid_mm: float | None = None
     said: str = ""
     insertion_id: str
-
-    @model_serializer(mode="wrap")
-    def _as_stored(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without a speed that is not known: records from before it was kept have their digest still."""
-        stored: dict[str, Any] = plain(self)
-        return stored if self.touch_mm_s is not None else {key: stored[key] for key in stored if key != "touch_mm_s"}
 
 
 def mistakes(signs: tuple[Probe, ...]) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from robot_client.insertion.limits import LimitError
 from robot_client.insertion.state import REFUSED, Phase, State
 from robot_client.ports import DriverError
 from robot_client.session.commission.lateness import MOST_N, PLACE, Press, late_s, next_is_fast, slow_and_fast
-from robot_client.session.commission.record import Record, read_record
+from robot_client.session.commission.record import read_record
 from robot_client.session.commission.run import GRASPS_N
 from robot_client.session.commission.wiring import SIDES
 from robot_client.session.stops import Stop, StopWatch
@@ -213,12 +213,6 @@ def test_an_object_that_hangs_turned_in_each_grasp_ends_the_commissioning(tmp_pa
     with pytest.raises(DriverError, match=r"slow press 3: service: refused: turned_in_hand: it hangs turned"):
         timed(cell, tmp_path / "record.toml")
     assert len(cell.presses) == 3 + GRASPS_N
-
-
-def test_an_older_record_with_one_fast_press_is_timed_again(tmp_path):
-    record = Record(begun="today", seed=7, gels={"left": "a", "right": "b"}, timed=tuple(series_of(0.05)[:4]))
-    assert record.late_s is None
-    assert timed(Pressed(), tmp_path / "record.toml", record).late_s == pytest.approx(0.08 + 0.5 * FRAME_S)
 
 
 def test_a_cell_that_cannot_be_timed_is_probed_all_the_same(tmp_path):

@@ -47,7 +47,10 @@ def given(tmp_path, monkeypatch):
 def record_of(below_mm, late=LATE_S):
     timed = tuple(series_of(late - OPEN_S, frame_s=0.0)) if late else ()
     probes = zip(answers(), below_mm, strict=True)
-    signs = tuple(probe.model_copy(update={"below_mm": below}) for probe, below in probes)
+    signs = tuple(
+        probe.model_copy(update={"below_mm": below, "touch_mm_s": None if below is None else PROBING_MM_S})
+        for probe, below in probes
+    )
     return Record(begun="today", seed=1, object="soap", approach_z_mm=35.0, signs=signs, timed=timed)
 
 
@@ -63,21 +66,21 @@ def record_of(below_mm, late=LATE_S):
 )
 def test_the_approach_follows_the_tops_that_were_touched_less_what_is_late(tmp_path, given, below_mm, late, z_mm, says):
     path = tmp_path / RECORD
-    assert says in teach(given.tables(), PROBING_MM_S, record_of(below_mm, late), path)
+    assert says in teach(given.tables(), record_of(below_mm, late), path)
     assert load_settings(tmp_path / CELL).task.approach_z_mm == z_mm
 
 
 def test_each_touch_is_less_what_is_late_at_its_own_speed():
     """A cell that was told to descend more slowly was touched faster, and so was one met above the slow band."""
     record, kept = record_of((1.5, 1.5, 1.0, 1.0)), []
-    for probe, touch_mm_s in zip(record.signs, (10.0, 10.0, 5.0, None), strict=True):
+    for probe, touch_mm_s in zip(record.signs, (10.0, 10.0, 5.0, 5.0), strict=True):
         kept.append(probe.model_copy(update={"touch_mm_s": touch_mm_s}))
-    assert lower_mm(record.model_copy(update={"signs": tuple(kept)}), PROBING_MM_S) == pytest.approx(0.5)
+    assert lower_mm(record.model_copy(update={"signs": tuple(kept)})) == pytest.approx(0.5)
 
 
 def test_the_taught_file_is_the_given_one_with_the_record_and_without_the_password(tmp_path, given, monkeypatch):
     path = tmp_path / RECORD
-    teach(given.tables(), PROBING_MM_S, record_of((1.5, 1.9, 1.6, 1.8)), path)
+    teach(given.tables(), record_of((1.5, 1.9, 1.6, 1.8)), path)
     task = given.task.model_copy(update={"approach_z_mm": 33.8})
     assert load_settings(tmp_path / CELL) == given.model_copy(update={"task": task, "commissioning": path})
     assert not [word for word in ("secret", "password =") if word in (tmp_path / CELL).read_text()]
@@ -87,9 +90,9 @@ def test_the_taught_file_is_the_given_one_with_the_record_and_without_the_passwo
 
 def test_who_goes_on_with_the_taught_file_does_not_teach_it_twice(tmp_path, given):
     path, record = tmp_path / RECORD, record_of((1.5, 1.9, 1.6, 1.8))
-    teach(given.tables(), PROBING_MM_S, record, path)
+    teach(given.tables(), record, path)
     first = load_settings(tmp_path / CELL)
-    teach(first.tables(), PROBING_MM_S, record, path)
+    teach(first.tables(), record, path)
     assert load_settings(tmp_path / CELL) == first
 
 
@@ -98,7 +101,7 @@ class Taught(Cell):
 
     async def probe(self, x_mm, theta_deg):
         ended = await super().probe(x_mm, theta_deg)
-        return ended._replace(probe=ended.probe.model_copy(update={"below_mm": 2.0}))
+        return ended._replace(probe=ended.probe.model_copy(update={"below_mm": 2.0, "touch_mm_s": PROBING_MM_S}))
 
     async def press_at(self, x_mm, theta_deg, fast):
         ended: Ended = await self.probe(x_mm, theta_deg)
