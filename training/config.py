@@ -47,9 +47,8 @@ class StageConfig(Contract):
 
 
 class LossConfig(Contract):
-    """Weights of the losses. ``class_weight_power`` 0 leaves the natural prior, 1 balances the classes fully."""
+    """Weights of the losses beside the cross entropy of the class."""
 
-    class_weight_power: float = Field(default=0.0, ge=0, le=1)
     magnitude: float = Field(default=0.5, ge=0)
     density: float = Field(default=0.5, ge=0)
     field: float = Field(default=0.5, ge=0)

@@ -13,7 +13,6 @@ from torch import nn
 
 from training.config import DataConfig, RunConfig, StageConfig
 from training.data.episodes import PROBE
-from training.data.labels import CLASSES
 from training.data.pressed import Pressed
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import Trainer
@@ -35,7 +34,7 @@ BATCH, RATE = 32, 1e-3
 def trainer_of(network: Decider, samples: Pressed) -> Trainer:
     """The trainer that computes losses and predictions of a network on samples."""
     config = RunConfig(name="adapt", data=DataConfig(path="-"), trunk=StageConfig(epochs=0))
-    return Trainer(config, samples, network, torch.ones(len(CLASSES)), torch.zeros(2, 3))
+    return Trainer(config, samples, network, torch.zeros(2, 3))
 
 
 def held_out(

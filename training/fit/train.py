@@ -21,7 +21,7 @@ from service.contract.model_card import Expectations
 from training.config import RunConfig, alone_in, pin, refuse_another
 from training.data.batches import Batch, frame_pairs
 from training.data.dataset import SPLITS, Source, Trials
-from training.data.labels import CLASSES, class_of
+from training.data.labels import CLASSES
 from training.data.pressed import Pressed
 from training.data.reading import Samples, decisions, epoch, load, refuse_useless
 from training.fit import parallel
@@ -47,7 +47,6 @@ class Trainer:
     config: RunConfig
     trials: Samples
     network: Decider
-    class_weights: Tensor
     front_error: Tensor
     most_steps: int = DECISION_STEPS  # steps of depth of a decision, at most
 
@@ -59,7 +58,7 @@ class Trainer:
         """Cross entropy of the class, and negative log likelihood of the error under one Gaussian and the mixture."""
         network, weight = self.network, self.config.loss
         state, label, truth = self._asked(fields, batch)
-        direction = functional.cross_entropy(network.logits(state), label, self.class_weights)
+        direction = functional.cross_entropy(network.logits(state), label)
         error, log_sigma = network.error(state)
         z = (error - truth) * torch.exp(-log_sigma)
         magnitude = (0.5 * z.square() + log_sigma).mean()
@@ -137,7 +136,7 @@ class Trainer:
         return Densities(density, self.trials.error[chosen], self.trials.objects[chosen])
 
     def score(self, chosen: NDArray[np.int64], *, pictures: bool) -> dict[str, float]:
-        """Validation scalars; ``score`` is the loss without class weights."""
+        """Validation scalars; ``score`` is the loss with calibrated classes."""
         predictions = self.predict(chosen, pictures=pictures)
         table = figures(predictions.rescaled(predictions.calibration()))
         z = (predictions.error - predictions.truth) * np.exp(-predictions.log_sigma)
@@ -198,11 +197,7 @@ def _prepare(config: RunConfig, trials: Samples, device: torch.device) -> Traine
         network.load_state_dict(_start(config, trials.sensor).build(config.network).state_dict())
     else:
         _set_scales(network, trials)
-    counts = np.bincount(class_of(trials.error[trials.of("train")]), minlength=len(CLASSES)).clip(1)
-    weights = (counts.sum() / counts) ** config.loss.class_weight_power
-    weights = weights / (weights * counts).sum() * counts.sum()
-    class_weights = torch.tensor(weights, dtype=torch.float32, device=device)
-    return Trainer(config, trials, network.to(device), class_weights, torch.full((2, 3), 0.1, device=device))
+    return Trainer(config, trials, network.to(device), torch.full((2, 3), 0.1, device=device))
 
 
 def _start(config: RunConfig, sensor: Sensor) -> Checkpoint:

@@ -14,7 +14,7 @@ from training.report.cameras import RATES_FPS, SPEEDS_MM_S, by_camera
 
 def rows_of(source, config, tmp_path):
     trials = load_pressed(config.data.model_copy(update={"cache": str(tmp_path)}), source)
-    trainer = Trainer(config, trials, build(PRESSING, 9, trials.sensor), torch.ones(9), torch.zeros(2, 3))
+    trainer = Trainer(config, trials, build(PRESSING, 9, trials.sensor), torch.zeros(2, 3))
     return {row["read"]: row for row in by_camera(trainer, Scales(), source)}
 
 
