@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import softmax
 
 from service.contract import ContractError
 from training.data.labels import CLASSES, SIGNS, class_of
@@ -89,10 +90,7 @@ class Predictions:
 
 
 def probabilities(logits: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:
-    scaled = logits / temperature
-    scaled = scaled - scaled.max(-1, keepdims=True)
-    weights = np.exp(scaled)
-    normalised: NDArray[np.float64] = weights / weights.sum(-1, keepdims=True)
+    normalised: NDArray[np.float64] = softmax(logits / temperature, axis=-1)
     return normalised
 
 
@@ -130,23 +128,15 @@ def _nll(p: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
     return float(-np.log(np.maximum(p[np.arange(len(labels)), labels], 1e-12)).mean())
 
 
-def calibration_curve(
-    p: NDArray[np.float64], labels: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    """Mean confidence, accuracy and count of the top class in equal bins of confidence (empty bins omitted)."""
+def expected_calibration_error(p: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
+    """Mean gap between confidence and accuracy of the top class, in equal bins of confidence, weighted by share."""
     confidence = p.max(1)
     right = p.argmax(1) == labels
     index = np.minimum((confidence * BINS).astype(int), BINS - 1)
     count = np.bincount(index, minlength=BINS)
-    full = count > 0
-    means = np.bincount(index, confidence, BINS)[full] / count[full]
-    return means, np.bincount(index, right, BINS)[full] / count[full], count[full]
-
-
-def expected_calibration_error(p: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
-    """Mean gap between confidence and accuracy, weighted by the bins' share."""
-    confidence, accuracy, count = calibration_curve(p, labels)
-    return float(np.abs(confidence - accuracy) @ count / count.sum())
+    full, count = count > 0, count[count > 0]
+    means, accuracy = (np.bincount(index, values, BINS)[full] / count for values in (confidence, right))
+    return float(np.abs(means - accuracy) @ count / count.sum())
 
 
 def figures(predictions: Predictions) -> dict[str, float]:

@@ -5,6 +5,7 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import softmax
 
 from training.data.labels import CLASSES, class_of
 from training.metrics.figures import Predictions, Scales
@@ -16,9 +17,7 @@ _CELL_CLASS = class_of(_GRID.astype(np.float32))
 
 def normalised(log_density: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:
     """Probability of each cell [N, 41, 40]."""
-    scaled = log_density / temperature
-    weights = np.exp(scaled - scaled.max((1, 2), keepdims=True))
-    probability: NDArray[np.float64] = weights / weights.sum((1, 2), keepdims=True)
+    probability: NDArray[np.float64] = softmax(log_density / temperature, axis=(1, 2))
     return probability
 
 
