@@ -20,7 +20,7 @@ from robot_client.session.commission.taught import CELL, teach
 from robot_client.session.commission.wiring import SIDES, probe_of
 from robot_client.session.cycle import CycleSettings, is_empty
 from robot_client.session.recorder import Recorder, check_takes_files
-from robot_client.session.runner import Runner, to_the_end
+from robot_client.session.runner import Observer, Runner, to_the_end
 from robot_client.session.stops import StopWatch
 from robot_client.settings import Settings, SettingsError, Task
 from service.contract import wire
@@ -110,7 +110,7 @@ def _places(of: tuple[tuple[float, float], ...]) -> str:
     return ", ".join(f"{x:+g} mm {theta:+g} deg" for x, theta in of)
 
 
-class Felt:
+class Felt(Observer):
     """Observer that keeps a probe's one answer."""
 
     def __init__(self) -> None:
@@ -129,10 +129,6 @@ class Felt:
             self.slid_mm = event.message.pressed_mm
         if isinstance(event.message, wire.Correction | wire.NoDecision):
             self.answer = event.message
-
-    def summary(self) -> dict[str, object]:
-        """Empty: the log has everything."""
-        return {}
 
 
 class Probing:

@@ -44,7 +44,8 @@ class Observer(Protocol):
         """``event`` happened; ``state`` is the one after it."""
 
     def summary(self) -> dict[str, Any]:
-        """Its contribution to the log's last line."""
+        """Its contribution to the log's last line: none, unless it has one."""
+        return {}
 
 
 async def to_the_end(work: Coroutine[Any, Any, None], *, interrupted: bool = False) -> None:

@@ -4,6 +4,7 @@ import math
 
 from robot_client.insertion.events import Event, FromService, Standstill, Stood
 from robot_client.insertion.state import Phase, State
+from robot_client.session.runner import Observer
 from service.contract import wire
 from service.contract.frames import Contract
 
@@ -31,7 +32,7 @@ class Stop(Contract):
         return self.pressed_mm + self.speed_mm_s * (self.waited_s + late_s)
 
 
-class StopWatch:
+class StopWatch(Observer):
     """Observer that keeps the stop of an attempt that ends because it was pressed enough, or slips, until the next one.
 
     None is kept after a slip without a known press, nor where the arm stood on the way for want of a judged frame or of
@@ -75,7 +76,3 @@ class StopWatch:
         if len(self._judged_ns) < 2:
             return 0.0
         return (self._judged_ns[-1] - self._judged_ns[0]) * 1e-9 / (len(self._judged_ns) - 1)
-
-    def summary(self) -> dict[str, object]:
-        """Empty: the record has the stop."""
-        return {}

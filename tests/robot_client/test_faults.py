@@ -17,6 +17,7 @@ from robot_client.insertion.events import Hold, Move
 from robot_client.insertion.geometry import normalised
 from robot_client.insertion.state import Phase
 from robot_client.session.recorder import read_log
+from robot_client.session.runner import Observer
 from service.contract import wire
 from simulation.cell.emulators.abb.motion import Follower, Pose
 from tests.robot_client.live_cell import Bench, bench
@@ -170,7 +171,7 @@ FAST = (
 )
 
 
-class Injector:
+class Injector(Observer):
     """Observer that breaks the cell a moment after the phase begins."""
 
     def __init__(self, cell, fault, phase):
@@ -184,9 +185,6 @@ class Injector:
             self.task = asyncio.get_running_loop().create_task(self._inject())
         if state.done and self.held_s is None:
             self.held_s = time.monotonic()
-
-    def summary(self):
-        return {}
 
     async def watch_stalls(self):
         """Time in which this process, emulators included, got no CPU; it counts against no bound."""

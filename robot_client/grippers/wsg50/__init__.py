@@ -1,1 +1,1 @@
-"""The Schunk WSG-50 over TCP, in its binary and its text protocol."""
+"""The Schunk WSG-50 over TCP, in its binary protocol."""

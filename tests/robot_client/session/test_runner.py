@@ -11,7 +11,7 @@ from robot_client.insertion.events import Arrived, Failure
 from robot_client.insertion.state import Phase
 from robot_client.ports import NOT_CONFIRMED, DriverError
 from robot_client.session.recorder import Recorder
-from robot_client.session.runner import Runner
+from robot_client.session.runner import Observer, Runner
 from robot_client.session.travel import Errands
 from robot_client.settings import Settings
 from tests.robot_client.insertion.stories import PLAN, TO_ARMING
@@ -241,14 +241,11 @@ async def test_no_program_is_started_once_a_device_has_failed():
     assert "start arm" not in notes
 
 
-class BrokenPipe:
+class BrokenPipe(Observer):
     """A terminal without a reader."""
 
     def on_event(self, _state, _event):
         raise BrokenPipeError(32, "Broken pipe")
-
-    def summary(self):
-        return {}
 
 
 async def test_a_terminal_that_is_gone_ends_no_task_that_brings_events():
