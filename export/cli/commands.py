@@ -54,7 +54,6 @@ def benchmark(
     seconds: float = 1.0,
     docs: Path = Path("runs/benchmark"),
     data: Path | None = None,
-    decisions: int = 64,
     int8: Path | None = None,
     alexnet: Path | None = None,
 ) -> None:
@@ -65,7 +64,6 @@ def benchmark(
         seconds: duration of each measurement.
         docs: folder of benchmark.md and benchmark.json.
         data: collected dataset on whose collisions int8 is calibrated and compared; default: golden frames.
-        decisions: number of collisions.
         int8: folder of released step models that are also built in int8.
         alexnet: folder of the paper's exported networks; created with random weights if absent.
     """
@@ -74,7 +72,7 @@ def benchmark(
 
     _positive(seconds=seconds)
     files = models or [file for file in sorted(Path("models").rglob("*.onnx")) if "/." not in str(file)]
-    recorded = list(read_validation(str(data), decisions)) if data is not None else []
+    recorded = list(read_validation(str(data))) if data is not None else []
     measure(files, seconds=seconds, docs=docs, decisions=recorded, alexnet=alexnet, int8=int8)
     print(f"{docs / 'benchmark.md'}")
 

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from export.onnx.decisions import Decision, command, steps
-from export.onnx.model import Arrays, Model
+from export.onnx.decisions import Decision
+from export.onnx.model import Arrays, Model, geometry_inputs, steps
+from service.decision.controllers import axis_command
 
 SAME = (0.1, 0.1)  # mm, deg
 
@@ -17,10 +17,16 @@ def same_commands(source: Sequence[Model], build: Sequence[Model], decisions: Se
     return int((np.abs(np.array(ours) - np.array(theirs)) <= SAME).all(1).sum())
 
 
-def _command(models: Sequence[Model], decision: Decision) -> NDArray[np.float64]:
-    """The command of one decision alone: dynamic int8 takes its scales from the whole batch."""
+def _command(models: Sequence[Model], decision: Decision) -> list[float]:
+    """The service's command, mm and deg, of one decision alone: dynamic int8 takes its scales from the whole batch."""
     outputs: Arrays = {}
     for model in models:
-        *_, last = steps(model, [decision])
+        geometry = geometry_inputs(model.card, 1, decision.gap_width_mm, decision.grasp_height_mm)
+        frames = decision.input_of(model.card)[None]
+        *_, last = steps(model, frames, frames.shape[1], geometry)
         outputs |= last
-    return command(models[0].card, outputs)
+    likeliest = models[0].card.classes[int(outputs["logits"][0].argmax())]
+    signs = (likeliest.sign_x, likeliest.sign_theta)
+    return [
+        axis_command(sign, float(error), first=True) for sign, error in zip(signs, outputs["error"][0], strict=True)
+    ]
