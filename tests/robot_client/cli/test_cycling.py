@@ -256,9 +256,8 @@ def test_a_cycle_says_what_it_takes_for_granted_before_anything_moves(keys, expe
 def test_nothing_is_picked_for_a_plan_that_would_be_refused(command, mode, toml, expect, tmp_path, capsys):
     """The devices are nowhere: connecting would end with 1, not with 2."""
     path = tmp_path / "cell.toml"
-    taught = "[cycle]\nopen_mm = 80\n[cycle.pick]\nx_mm = 0\ny_mm = 0\nz_mm = 45\nyaw_deg = 0"
     nowhere = '[gripper]\nhost = "127.0.0.1"\nport = 1\n[robot]\nrws.url = "http://127.0.0.1:1"'
-    path.write_text(f"simulated = true\n{toml}\n{nowhere}\n{taught}\n")
+    path.write_text(f"simulated = true\n{toml}\n{nowhere}\n{TAUGHT}")
     out = ["--out", str(tmp_path / "record")] if command == "commission" else []
     assert main([command, mode, "--config", str(path), *out]) == 2
     assert expect in capsys.readouterr().err
