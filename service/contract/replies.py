@@ -64,11 +64,6 @@ def ending(cause: Cause | None) -> Ending:
     return "not_confirmed" if cause == "not_confirmed" else MEANT.get(cause, "failed")
 
 
-def in_todays_words(outcome: str, cause: str | None) -> str:
-    """A recorded outcome in today's words: ``aborted`` once was all that ended as it was meant to."""
-    return MEANT.get(str(cause), outcome) if outcome == "aborted" else outcome
-
-
 def descended_n(cause: str | None, attempts_n: int, doubts: Sized) -> int:
     """The attempts that went down: the last did not if its refusal ended the insertion, which states no doubts."""
     return max(0, attempts_n - (cause in {"afresh", "refused"} and not doubts))

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from datetime import datetime
 from itertools import islice
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from service.contract.frames import first_error
-from service.contract.replies import MEANT, descended_n, in_todays_words
+from service.contract.replies import MEANT, descended_n
 from service.contract.wire import Finished
 from service.contract.wire_parts import errors_left
 from service.recordings.names import NAME, newest_name
@@ -56,11 +56,6 @@ class Summary(BaseModel):
     markers_share: float | None = None
     brightness_grey: float | None = None
     gel_distance: float | None = None
-
-    @model_validator(mode="after")
-    def _outcome_in_todays_words(self) -> Self:
-        self.outcome = in_todays_words(self.outcome, self.cause)
-        return self
 
     @property
     def tried_n(self) -> int:

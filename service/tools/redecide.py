@@ -15,7 +15,6 @@ from pydantic import BaseModel, ValidationError
 
 from service.contract import FINGERS, FramePair, TactileFrame, wire
 from service.contract.frames import first_error
-from service.contract.replies import in_todays_words
 from service.contract.shipped import released_models
 from service.contract.wire import Limits
 from service.decision.attempt import WorkResult
@@ -103,11 +102,8 @@ class Replay:
 
 
 def comparable(message: dict[str, Any]) -> dict[str, Any]:
-    """A message without times and without values of this machine, its outcome in today's words."""
-    same = {key: value for key, value in message.items() if key not in _TIMES}
-    if same.get("type") == "finished":
-        same["outcome"] = in_todays_words(same.get("outcome", ""), same.get("cause"))
-    return same
+    """A message without times and without values of this machine."""
+    return {key: value for key, value in message.items() if key not in _TIMES}
 
 
 def differences(recorded: list[dict[str, Any]], replayed: list[dict[str, Any]]) -> list[str]:

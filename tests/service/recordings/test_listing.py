@@ -25,19 +25,6 @@ def keep_many(root: Path) -> None:
         (folder / "summary.json").write_text(json.dumps(facts))
 
 
-@pytest.mark.parametrize(
-    ("cause", "outcome"), [("operator", "aborted"), ("probed", "probed"), ("afresh", "regrasped"), (None, "aborted")]
-)
-def test_an_earlier_recording_is_listed_in_todays_words(tmp_path: Path, cause: str | None, outcome: str) -> None:
-    """All that ended as it was meant to once was `aborted`."""
-    folder = tmp_path / "20260101T000000_one"
-    folder.mkdir()
-    facts = {"insertion_id": "one", "outcome": "aborted", "cause": cause, "attempts": 1}
-    (folder / "summary.json").write_text(json.dumps(facts))
-    listed, problems = list_recordings(tmp_path)
-    assert ([one["outcome"] for one in listed], problems) == ([outcome], [])
-
-
 def test_a_recording_is_listed_once_its_file_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A slow disk takes its time between the summary and the file's own name; who found it listed got a 404."""
     meanwhile = []
