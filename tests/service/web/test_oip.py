@@ -222,18 +222,3 @@ def test_no_body_makes_the_server_fail(live: LiveService, request: object, tail:
         answer = httpx.post(live.url(f"/v2/models/{MODEL}/infer"), content=content, headers=live.bearer | headers)
         assert answer.status_code == 400
         assert answer.json()["error"]
-
-
-def test_a_request_said_again_is_read_as_it_is_now(live: LiveService, client) -> None:
-    """The JSON of a request is remembered, its tensors are not."""
-    model = next(model for model in live.station.models.models if model.path.stem == MODEL)
-    rng = np.random.default_rng(1)
-    for _ in range(3):
-        asked = inputs(binary=True)
-        state = rng.normal(size=(1, 6)).astype(np.float32)
-        asked[2].set_data_from_numpy(state, binary_data=True)
-        answer = client.infer(MODEL, asked, outputs=[triton.InferRequestedOutput("next_state", binary_data=True)])
-        frame = np.frombuffer(asked[0]._get_binary_data(), np.uint8).reshape(SHAPE)
-        reference = np.frombuffer(asked[1]._get_binary_data(), np.uint8).reshape(SHAPE)
-        wanted = model.run({"frame": frame, "reference": reference, "state": state})
-        np.testing.assert_array_equal(answer.as_numpy("next_state"), wanted["next_state"])
