@@ -66,14 +66,6 @@ def test_without_the_token_this_machine_may_watch_and_nothing_else(live: LiveSer
     assert (wrong.status_code, "this token is unknown" in wrong.json()["error"]) == (401, True)
 
 
-def test_the_generated_token_drives_and_administers(live: LiveService) -> None:
-    driver = greeted(live, "locked")
-    assert driver.insert(1).outcome == "inserted"
-    driver.close()
-    (entry,) = [r for r in httpx.get(live.url("/v1/recordings")).json()["recordings"] if r["insertion_id"] == "locked"]
-    assert httpx.delete(live.url(f"/v1/recordings/{entry['name']}"), headers=live.bearer).status_code == 200
-
-
 def test_a_token_of_ones_own_takes_the_generated_ones_place(tmp_path: Path, models_folder: Path) -> None:
     with live_service(tmp_path, models_folder, token_drive=DRIVE, token_admin=ADMIN) as own:
         assert not (tmp_path / "state").exists()
