@@ -177,20 +177,6 @@ def test_the_page_does_not_say_that_an_arm_holds_that_may_carry_its_part_away(re
     assert ended("failed", "arm", 3).startswith("Holding: ")
 
 
-def test_an_object_that_nobody_takes_afresh_becomes_an_alarm(
-    live: LiveService, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    driver = greeted(live, "left")
-    driver.gives_up("afresh", "service: refused: turned_in_hand: by about 1.4 deg")
-    assert until(live, lambda shown: shown["running"] is None)["headline"]["level"] == "busy"
-    monkeypatch.setattr("service.web.page.status.AFRESH_S", 0.0)
-    shown = status(live)
-    assert shown["headline"]["words"] == "Holding: the object was to be regrasped"
-    assert shown["alarms"][0]["insertion_id"] == "left"
-    httpx.post(live.url(f"/v1/alarms/{shown['alarms'][0]['number']}/acknowledge"))
-    assert status(live)["headline"]["level"] == "good"
-
-
 def test_an_insertion_counts_as_recorded_once_it_is_listed(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
     """The page reads its history anew then: as soon as an insertion has ended, a slow disk does not list it yet."""
     closes, close = threading.Event(), Recorder.close
