@@ -233,18 +233,10 @@ def test_an_insertion_without_a_client_or_a_recorder_goes_on_all_the_same(witnes
     assert witness.insertion.facts["decisions"][0]["type"] == "correction"
 
 
-@pytest.mark.parametrize("episode", [False, True])
-def test_the_summary_holds_the_task_that_was_told_and_hundredths_of_a_second(witness: Witness, episode: bool) -> None:
-    if episode:
-        pose = wire.ToolPose(x_mm=8.0, y_mm=0.0, z_mm=35.0, yaw_deg=6.0)
-        witness.insertion.message(wire.Episode(insertion_id="first", object="box", start=pose, approach=pose))
+def test_the_summary_holds_hundredths_of_a_second_and_no_object_that_was_not_named(witness: Witness) -> None:
     witness.insertion.opened_ns, witness.now_ns = 2_000_000_000, 3_234_567_890
     facts = witness.insertion.facts
-    assert (facts["seconds"], facts["robot_samples_lost_n"], facts.get("object")) == (
-        1.23,
-        0,
-        "box" if episode else None,
-    )
+    assert (facts["seconds"], facts["robot_samples_lost_n"], facts.get("object")) == (1.23, 0, None)
     assert "continues" not in facts
 
 
