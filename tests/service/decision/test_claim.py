@@ -277,10 +277,6 @@ def test_a_descent_as_fast_as_any_may_be_is_one() -> None:
     assert "order" not in reasons(descent(descending_ns=FRAMES * PERIOD_NS - 101_000_000))
 
 
-def test_without_an_onset_nothing_was_pressed() -> None:
-    assert pressed_mm(descent()) == 0.0
-
-
 def test_the_newest_pair_is_as_old_as_its_stamp_if_it_shows_the_load() -> None:
     pushes = [Push(1_000_000_000, 0.1, 0.1), Push(1_500_000_000, 0.2, 0.2)]
     assert newest_age_s(pushes, 1_750_000_000) == pytest.approx(0.25)

@@ -191,5 +191,9 @@ def test_the_order_to_stop_names_the_newest_pair_and_its_capture_is_the_last_tha
     attempt.stage, attempt.descent = Stage.ARMED, Depth()  # type: ignore[assignment]
     assert [*enough_message(attempt)] == []
     attempt.descent.enough = True  # type: ignore[misc, union-attr]
+    attempt.stage = Stage.STOPPED
+    assert [*enough_message(attempt)] == [], "the arm stands"
+    attempt.stage = Stage.ARMED
     (message,) = enough_message(attempt)
     assert (message.frame_seq, message.pressed_mm, attempt.stop_ns) == (3, 0.8, 3 * PERIOD_NS)
+    assert [*enough_message(attempt)] == []

@@ -156,10 +156,6 @@ def test_how_far_the_markers_moved_counts_every_way() -> None:
     assert push_of(pair_of((3.0, 6.0)), REST).moved_pitch == pytest.approx(math.sqrt((0.2**2 + 0.4**2) / 2))
 
 
-def test_no_frame_is_no_claim() -> None:
-    assert not seating_evidence([], 0, 0.0).seated
-
-
 @given(st.lists(st.floats(0.25, 0.6), min_size=40, max_size=90), st.data())
 def test_a_grasp_that_slides_is_seen_whatever_single_frames_miss(pushes: list[float], data: st.DataObject) -> None:
     """A tenth of the frames may show nothing, or no push, as long as the newest does."""

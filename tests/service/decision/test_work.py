@@ -14,7 +14,6 @@ from service.decision.work import (
     arrays_of,
     check_evidence,
     decide_again,
-    enough_message,
     overdue,
     plan_steps,
     plan_work,
@@ -141,16 +140,6 @@ def test_a_slip_is_as_old_as_its_frame() -> None:
     slip = slip_message(descent(), shown, 47_500_000)
     assert (slip.frame_seq, slip.captured_ns, slip.age_ms, slip.score) == (7, 40_000_000, 7.5, 0.0)
     assert slip.pressed_mm is None, "no contact is known"
-
-
-def test_nobody_is_told_that_it_is_enough_twice_or_at_rest() -> None:
-    enough: Any = SimpleNamespace(enough=True, pressed_mm=1.2)
-    attempt = descent(descent=enough)
-    assert [*enough_message(attempt)] == [], "the arm stands"
-    attempt.stage = Stage.ARMED
-    (message,) = enough_message(attempt)
-    assert message.pressed_mm == 1.2
-    assert [*enough_message(attempt)] == []
 
 
 def test_of_an_attempt_that_nothing_moved_in_its_reference_is_kept() -> None:
