@@ -52,26 +52,13 @@ class Report:
 def check_contents(report: Report) -> None:
     """An image contains nothing forbidden, and its user is unprivileged."""
     for name, modules in FORBIDDEN.items():
+        python = [*("podman", "run", "--rm", "--network", "none", "--entrypoint", "python"), IMAGES[name], "-c"]
         for module in modules:
-            command = [
-                "podman",
-                "run",
-                "--rm",
-                "--network",
-                "none",
-                "--entrypoint",
-                "python",
-                IMAGES[name],
-                "-c",
-                f"import {module}",
-            ]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            done = subprocess.run([*python, f"import {module}"], capture_output=True, text=True, check=False)
             refused = done.returncode != 0 and "ModuleNotFoundError" in done.stderr
             report.add(f"{name}: import {module}", "refused" if refused else "it is there", refused)
         probe = "import os, shutil; print(os.getuid(), shutil.which('gcc') or shutil.which('cc') or 'none')"
-        answer = call(
-            ["podman", "run", "--rm", "--network", "none", "--entrypoint", "python", IMAGES[name], "-c", probe]
-        )
+        answer = call([*python, probe])
         report.add(f"{name}: user and compiler", answer, answer == "10001 none")
 
 
