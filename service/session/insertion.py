@@ -74,7 +74,7 @@ class Insertion:
         if isinstance(message, wire.Episode):
             self.episode = message
             self._later.append(partial(self.publish, "client", message))
-            self._note(_record_episode, message, now)
+            self._note(_record_message, "client", message, now)
             return
         if message.type != "heartbeat":
             self._note(_record_received, message, now)
@@ -206,7 +206,7 @@ class Insertion:
 
     def _write(self, sent: Replies, now: int) -> None:
         for reply in sent:
-            self._note(_record_sent, reply, now)
+            self._note(_record_message, "service", reply, now)
 
     # ---- messages ---------------------------------------------------------------------------------------------------
 
@@ -259,18 +259,14 @@ def _answers(beside: Beside, attempt: Attempt, facts: dict[str, Any]) -> dict[st
     return {"attempt": attempt.arm.attempt, "active": beside.active, "answers": facts["beside"]}
 
 
-def _record_episode(recorder: Recorder, message: Any, now: int) -> None:
-    recorder.message("client", message.model_dump(mode="json"), now)
+def _record_message(recorder: Recorder, sender: str, message: Any, now: int) -> None:
+    recorder.message(sender, message.model_dump(mode="json"), now)
 
 
 def _record_received(recorder: Recorder, message: Any, now: int) -> None:
     content = message.model_dump(mode="json")
     recorder.message("client", content, now)
     recorder.call({"call": "message", "message": content}, now)
-
-
-def _record_sent(recorder: Recorder, reply: ServiceMessage, now: int) -> None:
-    recorder.message("service", reply.model_dump(mode="json"), now)
 
 
 def with_current_age(message: ServiceMessage) -> ServiceMessage:
