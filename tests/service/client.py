@@ -1,7 +1,7 @@
 """A robot client as short as the protocol allows, for tests of the live service."""
 
 import time
-from typing import Any
+from typing import Any, Self
 
 from websockets.sync.client import ClientConnection, connect
 
@@ -51,6 +51,12 @@ class Driver:
         correction = self.until("correction")
         assert slip.attempt == correction.attempt == number
         return correction
+
+    def after(self, attempts_n: int) -> Self:
+        """Itself, once so many attempts have been decided."""
+        for number in range(1, attempts_n + 1):
+            self.attempt(number)
+        return self
 
     def rest(self) -> None:
         for finger in self.live.fingers:

@@ -107,9 +107,7 @@ def test_an_insertion_that_went_on_with_an_object_taken_afresh_is_decided_again_
     live: LiveService, tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name, before in (("first", None), ("second", "first")):
-        driver = greeted(live, name, continues=before)
-        driver.attempt(1)
-        path = Path(driver.gives_up("afresh", "turned_in_hand").recording)
+        path = Path(greeted(live, name, continues=before).after(1).gives_up("afresh", "turned_in_hand").recording)
     assert main(["replay", str(path), "--models", str(models_folder)]) == 0
     capsys.readouterr()
     alone = shutil.copytree(path.parent, tmp_path / path.parent.name)

@@ -42,9 +42,7 @@ def test_an_answer_does_not_wait_for_the_acknowledgement_of_its_head(live: LiveS
 
 
 def test_a_recorded_insertion_is_listed_played_and_removed(live: LiveService) -> None:
-    driver = greeted(live, "listed")
-    driver.attempt(1)
-    driver.gives_up()
+    greeted(live, "listed").after(1).gives_up()
     (entry,) = [r for r in httpx.get(live.url("/v1/recordings")).json()["recordings"] if r["insertion_id"] == "listed"]
     base = live.url(f"/v1/recordings/{entry['name']}")
     assert (entry["attempts"], entry["outcome"]) == (1, "aborted")

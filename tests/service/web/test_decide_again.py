@@ -34,9 +34,7 @@ def test_the_version_that_decided_an_insertion_decides_it_again(tmp_path: Path) 
 
 
 def test_a_recording_that_is_too_large_is_refused(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
-    driver = greeted(live, "first")
-    driver.attempt(1)
-    first = Path(driver.gives_up("afresh", "turned_in_hand").recording)
+    first = Path(greeted(live, "first").after(1).gives_up("afresh", "turned_in_hand").recording)
     again = greeted(live, "second", continues="first")
     assert again.insert(1).outcome == "inserted"
     again.close()

@@ -57,9 +57,7 @@ def test_which_markers_slip_is_told_by_shape(page: Any) -> None:
 
 def test_the_curve_of_one_finger_does_not_hide_the_others(live: LiveService, page: Any) -> None:
     """Both fingers felt the same here: of a solid line below another solid one nothing would be left."""
-    driver = insertion(live, "curves")
-    driver.attempt(1)
-    driver.gives_up()
+    insertion(live, "curves").after(1).gives_up()
     page.goto(live.url("/#history"))
     page.get_by_label("play back curves", exact=True).click()
     wait_until(page, PLAYED)
@@ -77,9 +75,7 @@ def test_the_curve_of_one_finger_does_not_hide_the_others(live: LiveService, pag
 
 
 def test_curves_follow_a_window_that_is_resized_while_they_are_open(live: LiveService, page: Any) -> None:
-    driver = insertion(live, "resized")
-    driver.attempt(1)
-    driver.gives_up()
+    insertion(live, "resized").after(1).gives_up()
     page.set_viewport_size({"width": 1600, "height": 900})
     page.goto(live.url("/#history"))
     page.get_by_label("play back resized", exact=True).click()

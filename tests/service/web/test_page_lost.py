@@ -50,9 +50,7 @@ def test_a_page_too_many_says_so_and_connects_by_itself(
 
 def test_a_playback_says_when_the_service_does_not_answer(live: LiveService, page: Any) -> None:
     for name in ("open", "later"):
-        driver = insertion(live, name)
-        driver.attempt(1)
-        driver.gives_up()
+        insertion(live, name).after(1).gives_up()
     page.goto(live.url("/#history"))
     page.get_by_label("play back open", exact=True).click()
     wait_until(page, "document.getElementById('then').textContent.includes(' s ')")

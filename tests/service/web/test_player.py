@@ -24,9 +24,7 @@ def test_an_answer_that_comes_late_is_not_shown_in_the_recording_opened_since(
     live: LiveService, page: Any, moments: list[str]
 ) -> None:
     for name in ("late", "prompt"):
-        driver = insertion(live, name)
-        driver.attempt(1)
-        driver.gives_up()
+        insertion(live, name).after(1).gives_up()
     held: list[Any] = []
     page.route("**/*_late/timeline", lambda route: held.append(route))  # noqa: PLW0108 - a method of a list takes no mark
     page.goto(live.url("/#history"))
@@ -50,9 +48,7 @@ def test_an_answer_that_comes_late_is_not_shown_in_the_recording_opened_since(
 
 def test_both_fingers_are_played_although_answers_are_slow(live: LiveService, page: Any, moments: list[str]) -> None:
     """As during an insertion, which goes first: the right finger would stand still beside a left one that moves."""
-    driver = insertion(live, "slow")
-    driver.attempt(1)
-    driver.gives_up()
+    insertion(live, "slow").after(1).gives_up()
     page.goto(live.url("/#history"))
     page.get_by_label("play back slow", exact=True).click()
     wait_until(page, "document.getElementById('right-then-state').textContent !== ''")
@@ -69,10 +65,7 @@ def test_both_fingers_are_played_although_answers_are_slow(live: LiveService, pa
 
 def test_a_recording_without_frames_shows_none_of_the_one_before(live: LiveService, page: Any) -> None:
     for name, attempts_n in (("framed", 1), ("frameless", 0)):
-        driver = insertion(live, name)
-        for number in range(1, attempts_n + 1):
-            driver.attempt(number)
-        driver.gives_up()
+        insertion(live, name).after(attempts_n).gives_up()
     page.goto(live.url("/#history"))
     page.get_by_label("play back framed", exact=True).click()
     wait_until(page, "document.getElementById('right-then-state').textContent !== ''")
@@ -87,9 +80,7 @@ def test_a_recording_without_frames_shows_none_of_the_one_before(live: LiveServi
 @pytest.mark.parametrize("attempts_n", [0, 1])
 def test_a_playback_ends_with_how_and_why_the_insertion_ended(live: LiveService, page: Any, attempts_n: int) -> None:
     """Its end comes after the last frame that was judged, or there was no frame at all."""
-    driver = insertion(live, f"stopped-after-{attempts_n}")
-    for number in range(1, attempts_n + 1):
-        driver.attempt(number)
+    driver = insertion(live, f"stopped-after-{attempts_n}").after(attempts_n)
     driver.gives_up("arm", "arm: controller: motors off")
     page.goto(live.url("/#history"))
     page.get_by_label(f"play back {driver.id}", exact=True).click()

@@ -30,6 +30,7 @@ from service.web.page.sentences import ended, event, shift, sure
 from service.web.page.status import Status
 from tests.service.client import greeted
 from tests.service.conftest import LiveService
+from tests.service.web.test_regrasps import put_back
 from tests.waiting import wait_for
 
 
@@ -124,10 +125,7 @@ def test_a_failure_stays_until_a_person_has_seen_it_even_over_a_restart(live: Li
 
 
 def test_an_object_that_is_taken_afresh_holds_nothing_up_and_its_attempts_are_counted_on(live: LiveService) -> None:
-    driver = greeted(live, "turned")
-    driver.attempt(1)
-    driver.arms(2)
-    driver.gives_up("afresh", "service: refused: turned_in_hand: by about 1.4 deg")
+    put_back(live, "turned")
     shown = until(live, lambda shown: shown["running"] is None)
     words = "It had turned in the hand and is regrasped"
     assert shown["headline"] == {"level": "busy", "words": words, "detail": CAUSES["afresh"].remedy}
