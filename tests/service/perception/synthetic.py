@@ -40,6 +40,14 @@ def twist(points, degrees, centre=(163.0, 159.5), shift=(0.0, 0.0)):
     return x @ np.array([[c, s], [-s, c]]) + centre + shift
 
 
+def stretched(points, by_px):
+    """Points pulled apart along a line in their middle, less with distance, as by an edge that presses into it."""
+    across, along = points[..., 0] - 166.0, points[..., 1] - 160.0
+    pushed = by_px * np.sign(across) * (1 - np.exp(-np.abs(across) / 14.0)) * np.exp(-np.abs(across) / 60.0)
+    pushed *= np.exp(-np.square(along / 90.0) / 2)
+    return points + np.stack([pushed, np.zeros_like(pushed)], -1)
+
+
 def patch_fields(
     motion: Callable[[int, np.ndarray], np.ndarray],
     *,

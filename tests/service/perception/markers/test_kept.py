@@ -12,7 +12,7 @@ from service.perception.markers.field import MarkerField
 from service.perception.markers.tracker import MarkerTracker, TrackerSettings
 from tests.kept import is_as_kept
 from tests.service.perception.markers.test_tracker import borderless, shifted, torn_once
-from tests.service.perception.synthetic import FRAME_NS, draw, grid, twist
+from tests.service.perception.synthetic import FRAME_NS, draw, grid, stretched, twist
 
 Pictures = list[np.ndarray]
 REST = grid()
@@ -62,13 +62,6 @@ def darkened() -> Pictures:
     return [bright, (dim * 0.5).astype(np.uint8), (dark * 0.05).astype(np.uint8), corner, back]
 
 
-def stretched() -> Pictures:
-    across = REST[..., 0] - 166.0
-    shape = np.sign(across) * (1 - np.exp(-np.abs(across) / 14.0)) * np.exp(-np.abs(across) / 60.0)
-    shape *= np.exp(-np.square((REST[..., 1] - 160.0) / 90.0) / 2)
-    return drawn(*(REST + np.stack([by * shape, np.zeros_like(shape)], -1) for by in (0.0, 9.0, 26.0, 28.0)))
-
-
 def large() -> Pictures:
     """Markers of 14 px, found in a smaller picture; turned and torn apart."""
     rest = grid(7, 9, 34.0, 320, 240)
@@ -107,7 +100,7 @@ STORIES: dict[str, Callable[[], Pictures]] = {
     "is hidden and jumps": hidden_and_jumped,
     "is smeared and strewn": smeared_and_strewn,
     "is darkened": darkened,
-    "is stretched": stretched,
+    "is stretched": lambda: drawn(*(stretched(REST, by_px) for by_px in (0.0, 9.0, 26.0, 28.0))),
     "is large": large,
     "jumps by what may be a whole pitch": lambda: borderless([0, 0.3, 0.55, 0.9, 0.3, 0.0, 0.0]),
     "is torn once": lambda: torn_once(3.0),

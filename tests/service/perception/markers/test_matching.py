@@ -20,7 +20,7 @@ from service.perception.markers.matching import (
     reindex,
 )
 from service.perception.markers.tracker import MarkerTracker
-from tests.service.perception.synthetic import draw, grid, twist
+from tests.service.perception.synthetic import draw, grid, stretched, twist
 
 PITCH = 15.0
 VIEW = View(327, 320, 3.0)
@@ -85,16 +85,8 @@ def test_a_grid_with_a_hole_keeps_its_identity_over_a_jump(jump: tuple[float, fl
     assert placed.xy_px[there] == pytest.approx(moved[there])
 
 
-def stretched(by_px: float) -> np.ndarray:
-    """The grid pulled apart along a line in its middle, less with distance, as by an edge that presses into it."""
-    across = REST[..., 0] - 166.0
-    pushed = by_px * np.sign(across) * (1 - np.exp(-np.abs(across) / 14.0)) * np.exp(-np.abs(across) / 60.0)
-    pushed *= np.exp(-np.square((REST[..., 1] - 160.0) / 90.0) / 2)
-    return np.asarray(REST + np.stack([pushed, np.zeros_like(pushed)], -1), np.float32)
-
-
 def test_a_stretched_grid_is_linked_from_the_nodes_that_stand_still() -> None:
-    moved = stretched(26.0)
+    moved = stretched(REST, 26.0)
     prior = match(REST, REST, moved.reshape(-1, 2), PITCH, VIEW, REST)
     assert not np.array_equal(prior.spot.ravel(), np.arange(420)), "some are taken for their neighbours at first"
     placed = reindex(moved.reshape(-1, 2), REST, PITCH, VIEW, REST, prior, 1.0)
@@ -102,7 +94,7 @@ def test_a_stretched_grid_is_linked_from_the_nodes_that_stand_still() -> None:
 
 
 def test_an_island_in_a_hole_of_a_stretched_grid_is_reached_over_the_gap() -> None:
-    moved, there = stretched(18.0), np.ones(REST.shape[:2], bool)
+    moved, there = stretched(REST, 18.0), np.ones(REST.shape[:2], bool)
     there[6:14, 11:18] = False
     there[8:12, 13:16] = True
     prior = match(REST, REST, moved[there], PITCH, VIEW, REST)
