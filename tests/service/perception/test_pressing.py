@@ -71,13 +71,6 @@ def test_the_onset_lies_between_the_first_frame_that_moved_and_the_one_before_or
     assert onset_depth(depths, shrunk, 1) == pytest.approx(0.3 - 1e-4), "never after the frame"
 
 
-def test_step_weights_are_those_of_a_mean_over_a_line() -> None:
-    depths = np.array([0.0, 0.1, 0.35, 0.4, 0.9])
-    weights = step_weights(depths, 0.2, 0.5)
-    assert weights.sum() == pytest.approx(1.0)
-    assert weights @ depths == pytest.approx(0.35)
-
-
 @given(
     st.lists(st.floats(0.01, 0.5), min_size=1, max_size=8),
     st.floats(-0.3, 0.6),

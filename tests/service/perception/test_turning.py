@@ -138,11 +138,6 @@ def test_gels_that_nothing_moves_show_no_turn():
     assert hangs_turned(last(0.0)) == (0.0, "")
 
 
-def test_a_finger_that_has_let_go_does_not_hide_what_the_other_shows():
-    both = replace(last(0.1, 0.03), right=finger("right"))
-    assert lasting_turn_deg(both, FREE) > math.degrees(0.05)
-
-
 @pytest.mark.parametrize(("hold_px", "least_deg", "most_deg"), [(np.inf, -0.5, 0.3), (3.0, 0.5, 4.5)])
 def test_the_detector_tells_a_gel_that_slid_from_one_that_held(hold_px, least_deg, most_deg):
     fingers, free = [], []
