@@ -15,11 +15,10 @@ IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
 
 
 class RecordingSource:
-    """A video file or a folder of images, played in a loop at its own or a given rate."""
+    """A video file or a folder of images, played in a loop at its own rate."""
 
-    def __init__(self, path: Path, frame_rate_hz: float | None = None) -> None:
-        self.name = str(path)
-        self._path, self._frame_rate_hz = path, frame_rate_hz
+    def __init__(self, path: Path) -> None:
+        self.name, self._path = str(path), path
         if not path.exists():
             raise CameraError(f"recording {path} does not exist")
 
@@ -28,7 +27,7 @@ class RecordingSource:
             played = 0
             due = time.monotonic()
             for pixels, rate_hz in clip_images(self._path):
-                due += 1.0 / (self._frame_rate_hz or rate_hz)
+                due += 1.0 / rate_hz
                 if stop.wait(max(0.0, due - time.monotonic())):
                     return
                 played += 1

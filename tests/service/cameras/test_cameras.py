@@ -259,7 +259,7 @@ def test_a_recording_plays_and_an_absent_one_says_so(tmp_path: Path) -> None:
     for index in range(3):
         cv2.imwrite(str(tmp_path / f"{index}.png"), np.full((8, 9, 3), index, np.uint8))
     stop = threading.Event()
-    source = RecordingSource(tmp_path, 200.0)
+    source = RecordingSource(tmp_path)
     levels = []
     for capture in source.frames(stop):
         levels.append(int(capture.pixels[0, 0, 0]))
