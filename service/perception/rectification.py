@@ -12,7 +12,6 @@ correct its result (:mod:`service.perception.lens`). Measurements are stored wit
 (:mod:`service.perception.light`), which is missing in older files.
 """
 
-import json
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -26,7 +25,7 @@ from pydantic import Field, ValidationError
 from service.contract import FINGERS, ContractError, Finger, FrameSpec, ModelCard
 from service.contract.frames import Contract
 from service.contract.refusals import describe, nearest
-from service.contract.toml import parse_toml
+from service.contract.toml import parse_toml, toml_text
 from service.perception.lens import Lens, Projection, Warp, order_of
 from service.perception.light import check_light
 from service.perception.markers.fingerprint import check_fingerprint
@@ -165,10 +164,8 @@ class Calibration:
 
     def save(self, path: str | Path) -> None:
         """Write the file that :meth:`load` reads back exactly."""
-        lines = [f"schema_version = {SCHEMA_VERSION}"]
-        for finger in FINGERS:
-            lines += _written(finger, self.camera(finger))
-        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        tables = {"schema_version": SCHEMA_VERSION} | {finger: _table(self.camera(finger)) for finger in FINGERS}
+        Path(path).write_text(toml_text(tables), encoding="utf-8")
 
 
 class _CameraTable(Contract):
@@ -220,29 +217,20 @@ class _CameraTable(Contract):
         return Measured(self.date, self.serial, self.residual_px, self.found_share, self.fingerprint, self.light)
 
 
-def _written(finger: Finger, camera: CameraCalibration) -> list[str]:
+def _table(camera: CameraCalibration) -> dict[str, Any]:
     lens, warp, measured = camera.lens, camera.warp, camera.measured
-    lines = [
-        f"\n[{finger}]",
-        f"raw_px = [{camera.raw.width_px}, {camera.raw.height_px}]",
-        f"rectified_px = [{camera.rectified.width_px}, {camera.rectified.height_px}]",
-        *([] if camera.mm_per_px is None else [f"mm_per_px = {camera.mm_per_px!r}"]),
-        f"homography = {_matrix(camera.homography)}",
-    ]
+    table: dict[str, Any] = {
+        "raw_px": camera.raw.shape[1::-1],
+        "rectified_px": camera.rectified.shape[1::-1],
+        "mm_per_px": camera.mm_per_px,
+        "homography": camera.homography.tolist(),
+    }
     if lens is not None:
-        lines += [f"lens_centre_px = {list(lens.centre_px)!r}", f"lens_scale_px = {lens.scale_px!r}"]
-        lines += [f"lens_k = {[lens.k1, lens.k2]!r}"]
+        table |= {"lens_centre_px": lens.centre_px, "lens_scale_px": lens.scale_px, "lens_k": [lens.k1, lens.k2]}
     if warp is not None:
-        lines += [f"warp_low_px = {warp.low.tolist()!r}", f"warp_high_px = {warp.high.tolist()!r}"]
-        lines += [f"warp_px = {_matrix(warp.coefficients)}"]
-    if measured is not None:
-        lines += [f"{name} = {json.dumps(value)}" for name, value in asdict(measured).items()]
-    return lines
-
-
-def _matrix(rows: NDArray[np.float64]) -> str:
-    inner = ",\n".join(f"  [{', '.join(repr(float(value)) for value in row)}]" for row in rows)
-    return f"[\n{inner},\n]"
+        table |= {"warp_low_px": warp.low.tolist(), "warp_high_px": warp.high.tolist()}
+        table["warp_px"] = warp.coefficients.tolist()
+    return table | asdict(measured) if measured is not None else table
 
 
 def _camera(table: dict[str, Any], finger: Finger, path: str | Path) -> CameraCalibration:

@@ -1,6 +1,5 @@
 """Outputs of a calibration besides its file: residual map, row of figures, profile of a new sensor."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from pydantic import ValidationError
 
 from service.contract import ContractError, FrameSpec, Sensor
 from service.contract.refusals import describe
+from service.contract.toml import toml_text
 from service.perception.lens import transformed
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.rectification import CameraCalibration, Rectifier
@@ -153,10 +153,9 @@ def _shown(image: NDArray[np.uint8], grid: GridFit, corners: NDArray[np.float64]
 
 def save_profile(sensor: Sensor, path: Path) -> None:
     """Write a profile that :meth:`Sensor.load` reads back."""
-    head = [
-        "# Found by `calibrate --new-profile`: counts, sizes and view are measured in one picture of the resting gel.",
-        "# mm_per_px and the gel's size follow from the markers' distance, which no picture shows: measure it.",
-    ]
-    values = [f"{key} = {json.dumps(value)}" for key, value in sensor.model_dump(exclude={"name"}).items()]
+    head = (
+        "# Found by `calibrate --new-profile`: counts, sizes and view are measured in one picture of the resting gel.\n"
+        "# mm_per_px and the gel's size follow from the markers' distance, which no picture shows: measure it.\n"
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join([*head, *values]) + "\n", encoding="utf-8")
+    path.write_text(head + toml_text(sensor.model_dump(exclude={"name"})), encoding="utf-8")
