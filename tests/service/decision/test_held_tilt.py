@@ -186,15 +186,6 @@ def test_an_arm_that_went_on_after_the_gels_stopped_leaves_the_tilt_less_certain
     assert slid_mm(attempt) == pytest.approx(on_mm / 2.0, abs=0.05)
 
 
-def test_turns_that_cancel_leave_their_errors_behind():
-    tilt = HeldTilt()
-    for _ in range(4):
-        tilt.turned(1.0, 0.0)
-        tilt.turned(-1.0, 0.0)
-    assert tilt.deg == pytest.approx(0.0)
-    assert tilt.askew(FREE)
-
-
 @given(st.floats(-4.0, 4.0), st.floats(0.0, 2.0))
 def test_a_tool_that_may_tilt_far_enough_holds_the_object_upright(turn_deg, most_deg):
     tilt = turned(turn_deg, most_tilt_deg=most_deg)

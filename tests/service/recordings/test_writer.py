@@ -202,17 +202,6 @@ def test_folders_that_are_no_recordings_never_make_room(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == [".git", "20250101", "20260101T000000_b", "photos"]
 
 
-def test_the_oldest_insertions_make_room(tmp_path: Path) -> None:
-    for index in range(4):
-        folder = tmp_path / f"2026010{index}T000000_{index}"
-        folder.mkdir()
-        (folder / "insertion.mcap").write_bytes(b"\0" * 1000)
-    removed = prune(tmp_path, 2500)
-    assert [path.name[-1] for path in removed] == ["0", "1"]
-    assert len(prune(tmp_path, 0)) == 1
-    assert len(list(tmp_path.iterdir())) == 1
-
-
 def test_a_recording_that_cannot_be_recovered_stays_as_it_is_and_stops_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
