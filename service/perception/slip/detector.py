@@ -124,7 +124,7 @@ class SlipDetector:
     def _refined(self, x: Float64, y: Float64, start: Motion, base: Float64, pitch: float) -> Motion | None:
         limits = self.settings
         tolerance = limits.tolerance_pitch * pitch
-        motion = refine(x, y, start, base, tolerance, pitch, scale=limits.fit_scale)
+        motion = refine(x, y, start, base, tolerance, pitch, scale=True)
         if motion is not None and abs(motion.scale - 1) > limits.max_scale_change:
             motion = refine(x, y, start, base, tolerance, pitch, scale=False)
         return motion

@@ -40,7 +40,6 @@ class SlipSettings:
     still_pitch: float = 0.02
     contact_pitch: float = 0.06
     follow_share: float = 0.35
-    fit_scale: bool = True
     max_scale_change: float = 0.08
     release_scale: float = 0.03
     max_shift_pitch: float = 2.0
