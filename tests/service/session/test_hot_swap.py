@@ -8,7 +8,7 @@ import onnx
 import pytest
 
 from tests.service import tiny_models
-from tests.service.client import Driver, greeted
+from tests.service.client import Driver
 from tests.service.conftest import LiveService, live_service
 
 LOAD = "/v2/repository/models/direction.step/load"
@@ -70,11 +70,3 @@ def test_whatever_is_wrong_with_the_new_ones_the_old_ones_stay(swappable: LiveSe
     assert refused.json()["error"]
     assert hashes(swappable) == before
     assert swappable.station.models is running
-
-
-def test_models_are_not_swapped_under_an_insertion(swappable: LiveService) -> None:
-    driver = greeted(swappable, "under-way")
-    refused = httpx.post(swappable.url(LOAD), headers=swappable.bearer)
-    assert (refused.status_code, "insertion is under way" in refused.json()["error"]) == (400, True)
-    driver.attempt(1)
-    driver.gives_up()

@@ -44,13 +44,15 @@ def test_a_machine_may_be_given_more_names(tmp_path: Path, models_folder: Path) 
 
 
 def test_without_the_token_this_machine_may_watch_and_nothing_else(live: LiveService) -> None:
-    watching = ("/", "/v1/models", "/v1/cameras", "/v1/recordings", "/v2", "/readyz", "/metrics")
+    watching = ("/", "/v1/models", "/v1/cameras", "/v1/recordings", "/v1/versions", "/v2", "/readyz", "/metrics")
     assert {httpx.get(live.url(path)).status_code for path in watching} == {200}
     for method, path in (
         ("POST", "/v1/decisions"),
         ("POST", "/v2/models/direction.step/infer"),
         ("POST", "/v2/repository/models/direction.step/load"),
         ("DELETE", "/v1/recordings/x"),
+        ("DELETE", "/v1/versions/shadow"),
+        *(("POST", f"/v1/versions/{change}?folder=x") for change in ("shadow", "promote", "rollback")),
     ):
         refused = httpx.request(method, live.url(path))
         assert refused.status_code == 401
