@@ -47,10 +47,7 @@ PEERS = (
     Peer(
         "abb-robot-client",
         "RWS 1.0: every method of its client; subscriptions",
-        (
-            f"{EMULATORS}/test_emulator_rws.py::test_every_method_of_the_stock_rws_client_does_what_it_says",
-            f"{EMULATORS}/test_emulator_rws.py::test_the_stock_rws_client_subscribes",
-        ),
+        (f"{EMULATORS}/test_emulator_rws.py::test_every_method_of_the_stock_rws_client_does_what_it_says",),
     ),
     Peer(
         "abb-robot-client",

@@ -78,19 +78,26 @@ CALLS = (
 )
 
 
+def await_events(events, *kinds):
+    """Wait for an event of each of these kinds; raises if one does not come."""
+    until_s = time.monotonic() + 20.0
+    while missing := set(kinds) - {type(one).__name__ for one in events}:
+        assert time.monotonic() < until_s, missing
+        time.sleep(0.02)
+
+
 def subscribed(client):
-    """Raises unless a subscription to everything tells that a variable and a signal have changed."""
+    """Raises unless a subscription to everything tells that a variable, a signal and both states have changed."""
     events = []
     link = client.subscribe(KINDS, events.append)
     time.sleep(0.5)
     client.set_rapid_variable("peerNumber", str(int(time.time())))
     client.set_digital_io("doSlipStop", 0)
-    until_s, kinds = time.monotonic() + 20.0, set()
-    while time.monotonic() < until_s and not {"VariableValue", "Signal"} <= kinds:
-        kinds = {type(one).__name__ for one in events}
-        time.sleep(0.02)
+    client.start("asis", ["T_ROB1"])
+    await_events(events, "VariableValue", "Signal", "RAPIDExecutionState")
+    client.set_controller_state("motoroff")
+    await_events(events, "ControllerState")
     link.close()
-    assert {"VariableValue", "Signal"} <= kinds, kinds
 
 
 def called(client, name, arguments, right):

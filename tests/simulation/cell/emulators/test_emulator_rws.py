@@ -255,30 +255,3 @@ def test_a_subscription_of_nothing_or_of_a_stranger_is_refused(cell, rws):
     made = rws.post("/subscription", data={"resources": "1", "1": "/rw/panel/opmode"})
     with pytest.raises(InvalidStatus):
         connect(made.headers["location"])
-
-
-def test_the_stock_rws_client_subscribes(cell):
-    """In its own process: its generated EGM messages clash with ours."""
-    script = (
-        "import sys, time; from abb_robot_client.rws import *\n"
-        "r = RWS(sys.argv[1]); seen = []\n"
-        "def wait(value):\n"
-        "    until = time.monotonic() + 10\n"
-        "    while not any(value == str(e[0]) for e in seen) and time.monotonic() < until: time.sleep(0.01)\n"
-        "kinds = [SubscriptionResourceType.ControllerState, SubscriptionResourceType.ExecutionState]\n"
-        "asked = [SubscriptionResourceRequest(k, SubscriptionResourcePriority.Medium) for k in kinds]\n"
-        "s = r.subscribe(asked, seen.append); time.sleep(0.3)\n"
-        "r.set_controller_state('motoron'); wait('motoron'); r.start(); wait('running')\n"
-        "s.close(); print([type(e).__name__ + ':' + str(e[0]) for e in seen])\n"
-    )
-    cell.call(cell.cell.cabinet.request_stop)
-    cell.call(cell.cell.cabinet.request_motors, False)
-    done = subprocess.run(
-        [sys.executable, "-c", script, cell.description["rws_url"]],
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
-    assert "ControllerState:motoron" in done.stdout, done.stderr
-    assert "RAPIDExecutionState:running" in done.stdout
