@@ -64,7 +64,7 @@ def test_an_object_that_cannot_be_held_is_one_line(tmp_path: Path, capsys, comma
     tiny.write_text(f"{shape}[grasp]\nforce_n = 120.0\n")
     assert main([command, str(tiny)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "squeezes the gel through; it bears" in line
+    assert "grasp.force_n: 120.0 N squeezes the gel through; it bears" in line
 
 
 def test_a_deeper_gap_is_descended_to_its_full_depth() -> None:

@@ -136,12 +136,6 @@ def test_a_group_is_one_fixture_of_at_most_five_pokes(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_number_of_processes_does_not_change_the_data(made: Path, tmp_path: Path) -> None:
-    assert main([*WORDS, "--out", str(tmp_path), "--trials-per-object", "6", "--workers", "2"]) == 0
-    assert digests(tmp_path) == digests(made)
-
-
-@pytest.mark.slow
 def test_a_ray_cluster_makes_the_same_data(made: Path, tmp_path: Path) -> None:
     pytest.importorskip("ray")
     command = [*COLLECT, "--out", str(tmp_path), "--trials-per-object", "6", "--ray", "local"]

@@ -29,11 +29,3 @@ def test_unknown_keys_are_refused() -> None:
 def test_every_built_in_scene_has_a_look(name: str) -> None:
     scene = load_scene(name)
     assert Appearance.draw(scene, "left", 0).noise_sigma_grey == scene.camera.noise_grey
-
-
-def test_effects_that_are_off_leave_no_trace() -> None:
-    switches = ("camera_noise", "gel_wear", "object_texture", "motion_blur")
-    scene = load_scene("vitamin", **{f"effects__{name}": "off" for name in switches})
-    look = Appearance.draw(scene, "left", 0)
-    assert (look.noise_sigma_grey, look.worn, look.missing_dots_share) == (0.0, 0.0, 0.0)
-    assert (look.object_texture_gain, look.motion_blur_share) == (0.0, 0.0)

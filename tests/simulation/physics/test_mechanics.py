@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from simulation.data.probe import QuasiStaticCell, run_probe
-from simulation.scene.state import PhysicsError
 from simulation.scene.worlds import load_scene
 from simulation.studies.hard_probes import ImpossibleStateError, Tally, _check, run
 from tests.simulation.scenes import UPRIGHT
@@ -127,8 +126,3 @@ def test_one_process_and_two_get_the_same_bits() -> None:
     with get_context("spawn").Pool(2) as pool:
         assert pool.map(fingerprint, cases, chunksize=1) == here
     assert len(set(here)) == len(cases)
-
-
-def test_a_grip_that_squeezes_the_gel_through_is_refused() -> None:
-    with pytest.raises(PhysicsError, match=r"grasp\.force_n"):
-        QuasiStaticCell(load_scene("ellipse", grasp__force_n=120.0, gel__thickness_mm=0.5))
