@@ -23,6 +23,7 @@ from robot_client.session.commission.run import FITS, REACH, errors
 from service.contract import ContractError
 from simulation.closed_loop import benchmark
 from simulation.closed_loop.job import job_in
+from simulation.closed_loop.lockstep import hash_seed
 from simulation.closed_loop.statistics import Row, ends
 from simulation.data.manifest import MANIFEST, read_manifest
 from simulation.data.parallel import results
@@ -33,7 +34,7 @@ from simulation.scene.scene import Scene
 from simulation.scene.worlds import World
 from simulation.studies.episodes import Episode, play
 from simulation.studies.pace.points import client, with_care
-from simulation.studies.wiring import by_corner, carried_out, named_mistakes, probes, seed_of, touched
+from simulation.studies.wiring import by_corner, carried_out, named_mistakes, probes, touched
 
 COUNTED = (
     *("direction_right", "direction_n", "mae_x_mm", "mae_theta_deg", "covered_x", "covered_theta"),
@@ -99,7 +100,7 @@ class Cell:
     def _jobs(self, names: Sequence[str], starts: ArrayLike, purpose: int) -> list[Row]:
         rows = []
         for index, (name, (x_mm, theta_deg)) in enumerate(zip(names, np.asarray(starts, float), strict=True)):
-            seed = seed_of(self.seed, purpose, index)
+            seed = hash_seed(self.seed, purpose, index)
             rows.append(job_in(self.world, name, index, (x_mm, theta_deg), seed, **self._asked(name)))
         return rows
 

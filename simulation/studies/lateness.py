@@ -6,8 +6,6 @@ from operator import call
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from robot_client.insertion.limits import LimitError
 from robot_client.insertion.state import Phase, Plan
 from robot_client.session.commission.lateness import PLACE, Press, late_s, next_is_fast, slow_and_fast
@@ -15,6 +13,7 @@ from robot_client.session.stops import StopWatch
 from simulation.closed_loop.benchmark import held_in
 from simulation.closed_loop.client import trip_s
 from simulation.closed_loop.job import Job, job_in
+from simulation.closed_loop.lockstep import hash_seed
 from simulation.closed_loop.play import Insertion, models_of, stage
 from simulation.closed_loop.statistics import Row
 from simulation.data.parallel import results
@@ -68,9 +67,9 @@ def lateness(worlds: Sequence[World], objects: Mapping[str, Scene], seed: int, m
     """`timed` in each world in which an object can be held, with the one that turns most about its first corner."""
     todo = []
     for number, world in enumerate(worlds):
-        of_world, held = int(np.random.SeedSequence((seed, number)).generate_state(1)[0]), held_in(world, objects)
+        held = held_in(world, objects)
         if name := next((name for name in by_corner(objects) if name in held), ""):
-            todo.append(partial(timed, world, name, of_world, models))
+            todo.append(partial(timed, world, name, hash_seed(seed, number), models))
     return list(shown("lateness of each world (simulated)", results(call, todo, workers, in_order=True), len(todo)))
 
 

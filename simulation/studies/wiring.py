@@ -3,10 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from robot_client.session.commission.wiring import SIDES, WENT_IN, Probe, dangerous_mistakes, mistakes
 from simulation.closed_loop.job import job_in
+from simulation.closed_loop.lockstep import hash_seed
 from simulation.closed_loop.statistics import Row
 from simulation.scene.scene import Scene
 from simulation.scene.shapes import half_width_mm
@@ -31,17 +30,12 @@ def by_corner(objects: Mapping[str, Scene]) -> list[str]:
     return sorted(objects, key=place, reverse=True)
 
 
-def seed_of(seed: int, purpose: int, index: int) -> int:
-    """Seed of one probe or insertion of a cell."""
-    return int(np.random.SeedSequence((seed, purpose, index)).generate_state(1)[0])
-
-
 def probes(world: World, name: str, seed: int, **job: Any) -> list[Row]:
     """Jobs of the four probes with an object, as an arm with reversed axes carries it; ``job``: fields of `Job`."""
     arm = world.unstated
     starts = [(x_mm * arm.x_sign, theta_deg * arm.yaw_sign) for x_mm, theta_deg in SIDES]
     return [
-        job_in(world, name, index, start, seed_of(seed, SIGNS, index), purpose="probe", **job)
+        job_in(world, name, index, start, hash_seed(seed, SIGNS, index), purpose="probe", **job)
         for index, start in enumerate(starts)
     ]
 
