@@ -161,7 +161,7 @@ def trust_page(data: Row) -> str:
         plus the tracker's error. An insertion is void where the simulated physics found no solution; it counts neither
         as claimed nor as refused.
         """,
-        _late(data.get("late", ())),
+        _late(data["late"]),
         "## By fault",
         table(
             data["faults"],
@@ -185,11 +185,6 @@ def trust_page(data: Row) -> str:
 def _late(rows: Sequence[Row]) -> str:
     """How well each cell's lateness was known."""
     off_ms = errors_ms(rows)
-    if not off_ms:
-        return """
-        The clients did not know how late the pictures and the arm of their cell are. The descent after a frame is
-        counted from the frame's stamp.
-        """
     return f"""
         Each cell was [timed first](decisions/0194-how-late-pictures-and-arm-are.md), as in a commissioning. That gave a
         bound on the lateness of pictures and arm in {len(off_ms)} of {len(rows)} worlds, {np.mean(off_ms):+.0f} ms from
