@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, Required, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,29 +14,24 @@ _FINGER_NAMES = ("left finger (+y)", "right finger (-y)")
 
 
 class Decision(TypedDict, total=False):
-    """Facts shown besides the frames; every key is optional."""
+    """Facts shown besides the frames; every key but the title is optional."""
 
-    title: str
-    truth: tuple[float, float]  # x_mm, theta_deg
-    estimate: tuple[float, float]
+    title: Required[str]
+    estimate: tuple[float, float]  # x_mm, theta_deg
     correction: tuple[float, float]  # dx_mm, dtheta_deg
     interval: tuple[tuple[float, float], tuple[float, float]]  # 90 %: (x low, high), (theta low, high)
     direction: Sequence[Sequence[float]]  # probabilities: left, middle, right; anticlockwise, straight, clockwise
     notes: Sequence[str]
 
 
-def draw(
-    frames: NDArray[np.uint8],
-    decision: Decision | None = None,
-    motion: Motion | None = None,
-    valid: NDArray[np.bool_] | None = None,
-) -> Any:
-    """A matplotlib figure of an attempt.
+def save(path: Path, frames: NDArray[np.uint8], decision: Decision, motion: Motion, valid: NDArray[np.bool_]) -> Path:
+    """Draw an attempt into a PNG at ``path``; its folder is created.
 
     ``frames`` uint8 [n, 2, H, W, 3] BGR rectified, first to last; ``motion`` of the markers from the first to the last
     frame is drawn as arrows; ``valid`` bool [2, rows, cols].
     Raises ValueError on another shape of frames.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     if frames.ndim != 5 or frames.shape[1] != 2 or frames.shape[-1] != 3 or not len(frames):
@@ -46,51 +41,29 @@ def draw(
     upper, lower = parts
     left, right, facts = upper.subplots(1, 3, width_ratios=(1, 1, 0.95))
     for finger, axes in enumerate((left, right)):
-        moved = None if motion is None else (motion[0][finger], motion[1][finger])
-        imprint(axes, frames[-1, finger], _FINGER_NAMES[finger], moved, None if valid is None else valid[finger])
-    _facts(facts, decision or {})
+        moved = motion[0][finger], motion[1][finger]
+        imprint(axes, frames[-1, finger], _FINGER_NAMES[finger], moved, valid[finger])
+    _facts(facts, decision)
     _differences(lower, frames)
-    if decision and "title" in decision:
-        figure.suptitle(decision["title"])
-    return figure
-
-
-def save(
-    path: str | Path,
-    frames: NDArray[np.uint8],
-    decision: Decision | None = None,
-    motion: Motion | None = None,
-    valid: NDArray[np.bool_] | None = None,
-) -> Path:
-    """Draw (see :func:`draw`) into a PNG at ``path``; its folder is created."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    path = Path(path)
+    figure.suptitle(decision["title"])
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure = draw(frames, decision, motion, valid)
     FigureCanvasAgg(figure).print_png(str(path))
     return path
 
 
 def imprint(
-    axes: Any,
-    frame: NDArray[np.uint8],
-    caption: str,
-    motion: Motion | None = None,
-    valid: NDArray[np.bool_] | None = None,
+    axes: Any, frame: NDArray[np.uint8], caption: str, motion: Motion, valid: NDArray[np.bool_] | None = None
 ) -> None:
     """One rectified frame [H, W, 3] on ``axes`` with one finger's marker motion as arrows."""
     axes.imshow(frame[..., ::-1])
     axes.set_axis_off()
-    if motion is not None:
-        rest, moved = motion[0], np.asarray(motion[1], float)
-        shown = np.isfinite(moved).all(-1) & (True if valid is None else valid)
-        start, step = rest[shown], moved[shown] * ARROW_SCALE
-        style = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004, "color": "yellow"}
-        axes.quiver(start[:, 0], start[:, 1], step[:, 0], step[:, 1], **style)
-        largest = float(np.linalg.norm(moved[shown], axis=-1).max(initial=0.0))
-        caption += f"  markers moved up to {largest:.1f} px (arrows x{ARROW_SCALE:g})"
-    axes.set_title(caption, fontsize=9)
+    rest, moved = motion[0], np.asarray(motion[1], float)
+    shown = np.isfinite(moved).all(-1) & (True if valid is None else valid)
+    start, step = rest[shown], moved[shown] * ARROW_SCALE
+    style = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.004, "color": "yellow"}
+    axes.quiver(start[:, 0], start[:, 1], step[:, 0], step[:, 1], **style)
+    largest = float(np.linalg.norm(moved[shown], axis=-1).max(initial=0.0))
+    axes.set_title(f"{caption}  markers moved up to {largest:.1f} px (arrows x{ARROW_SCALE:g})", fontsize=9)
 
 
 def _differences(figure: Any, frames: NDArray[np.uint8]) -> None:
@@ -135,8 +108,6 @@ def _direction(axes: Any, shares: NDArray[np.floating]) -> None:
 def fact_lines(decision: Decision) -> list[str]:
     """The numbers of a decision, one per line, with units."""
     lines = []
-    if "truth" in decision:
-        lines.append(_pair("true error", decision["truth"]))
     if "estimate" in decision:
         lines.append(_pair("estimate", decision["estimate"]))
     if "interval" in decision:
