@@ -15,6 +15,7 @@ from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.worlds import load_scene
 
+X_MM, THETA_DEG, SEED = 8.0, 6.0, 1
 COLUMNS = ("raw, held", "raw, after the collision", "rectified, after", "difference", "motion")
 
 
@@ -26,18 +27,12 @@ class Options:
     """PNG file to write."""
     objects: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")] = ("rectangle", "circle", "vitamin")
     """Scenes to show, one per row."""
-    x_mm: float = 8.0
-    """Position error of the poke."""
-    theta_deg: float = 6.0
-    """Yaw error of the poke."""
-    seed: int = 1
-    """Seed of the grasp and of the optics."""
 
 
-def _row(axes: Sequence[Any], name: str, options: Options) -> None:
+def _row(axes: Sequence[Any], name: str) -> None:
     scene = load_scene(name)
-    probe = run_probe(scene, options.x_mm, options.theta_deg, seed=options.seed)
-    renderer = Renderer(Appearance.draw(scene, "left", options.seed))
+    probe = run_probe(scene, X_MM, THETA_DEG, seed=SEED)
+    renderer = Renderer(Appearance.draw(scene, "left", SEED))
     before, after = (probe.gel[k, 0].astype(np.float32) for k in (0, -1))
     held, pressed = renderer.raw(before, 0), renderer.raw(after, 1)
     flat = renderer.rectify(pressed)
@@ -57,6 +52,6 @@ def draw(options: Options) -> None:
     rows, columns = len(options.objects), len(COLUMNS)
     with drawing(options.out, rows, columns, size=(16, 2.9 * rows), dpi=60) as panels:
         for axes, name in zip(panels, options.objects, strict=True):
-            _row(axes, name, options)
+            _row(axes, name)
         for axes, title in zip(panels[0], COLUMNS, strict=True):
             axes.set_title("\n".join(filter(None, (title, axes.get_title()))))
