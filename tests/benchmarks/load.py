@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from websockets.sync.client import ClientConnection, connect
 
-from service.contract import FINGERS, wire
+from service.contract import wire
 from service.decision.models import load_models
 from service.session.station import Station
 from service.settings import Settings
@@ -209,6 +209,3 @@ def overload(models: Path) -> dict[str, Any]:
         return age_at_twice_the_load(station)
     finally:
         station.stop()
-
-
-__all__ = ["FINGERS", "cells", "flood", "healthz_ms", "overload"]

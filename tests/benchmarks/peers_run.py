@@ -11,17 +11,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from simulation.cell.emulators.net import free_port
 from tests.service.process import service_process
 
 FOLDER = Path(__file__).parent / "peers"
 MODEL = "direction.step"
 START_S = 120.0
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @contextlib.contextmanager
@@ -57,7 +52,6 @@ def mlserver(python: Path, model: Path, folder: Path) -> Iterator[str]:
     server = {"host": "127.0.0.1", "parallel_workers": 0, "debug": False, "grpc_max_message_length": 64 << 20}
     (folder / "settings.json").write_text(json.dumps(server | ports))
     environment = os.environ | {"PYTHONPATH": str(FOLDER)}
-    command = [str(python), "-m", "mlserver.cli.main", "start", str(folder)]
     code = "import sys; from mlserver.cli import main; sys.argv = ['mlserver', 'start', sys.argv[1]]; main()"
     command = [str(python), "-c", code, str(folder)]
     with running(command, ports["grpc_port"], env=environment):
