@@ -2,13 +2,14 @@
 
 import sys
 from itertools import count
+from types import SimpleNamespace
 
 from simulation.data import progress as module
 
 
 def test_lines_of_progress_go_to_standard_error(capsys, monkeypatch):
     clock = count(0.0, 4.0)
-    monkeypatch.setattr(module.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: next(clock)))  # not other threads' clock
     with module.progress("pokes", 100) as show:
         for done in (1, 2, 3):
             show(done)
