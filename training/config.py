@@ -166,15 +166,17 @@ def differences(one: Mapping[str, Any], other: Mapping[str, Any], above: str = "
             yield f"its {above}{name} is {was}, not {asked}"
 
 
-def pin(folder: Path, config: Contract, grounds: str) -> None:
-    """Claim ``folder`` for the run with this config and these grounds, which are stored next to its weights.
-
-    Raises ContractError if its contents were learnt from others: ``grounds`` are the hashes of the data.
-    """
-    refuse_another(folder, config)
+def refuse_other_grounds(folder: Path, grounds: str) -> None:
+    """Raise ContractError if the contents of ``folder`` were learnt from other data: ``grounds`` are its hashes."""
     path = folder / "learnt_from.txt"
     if path.exists() and path.read_text() != grounds:
         what = "was trained on other data or from other weights"
         raise ContractError(f"{folder} {what}; expected the same, a new name or an empty folder")
+
+
+def pin(folder: Path, config: Contract, grounds: str) -> None:
+    """Claim ``folder`` for the run with this config and these grounds, which are stored next to its weights."""
+    refuse_another(folder, config)
+    refuse_other_grounds(folder, grounds)
     write_durably(folder / "config.json", config.model_dump_json(indent=1).encode())
-    write_durably(path, grounds.encode())
+    write_durably(folder / "learnt_from.txt", grounds.encode())

@@ -85,6 +85,12 @@ def open_source(path: str) -> Source:
     return source
 
 
+def data_sha256(source: Source) -> str:
+    """Hash of the dataset's manifest, which names every shard and its own hash."""
+    digest: str = source.manifest.sha256()
+    return digest
+
+
 def _key(trial: Any) -> str:
     """Hash of everything that determines a trial's pictures."""
     stated = (trial.scene_sha256, trial.seed, trial.group, trial.poke, trial.onset_frame, trial.x_mm, trial.theta_deg)
@@ -117,7 +123,7 @@ def load_trials(config: DataConfig, source: Source | None = None, reads: Reads =
     over splits.
     """
     source = open_source(config.path) if source is None else source
-    digest: str = source.manifest.sha256()  # it names every shard and its own hash
+    digest = data_sha256(source)
     folder = Path(config.cache) / digest[:16]
     table = load_table(source, folder, min(len(source), config.max_trials))
     picture, drawn = _load_pictures(source, table, config, reads)

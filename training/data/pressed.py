@@ -15,7 +15,7 @@ from service.contract import ContractError, Sensor
 from service.contract.model_card import CONDITIONS, MARKER_PITCH, Pressing, Span
 from training.config import DataConfig
 from training.data.batches import Batch, mirror_fields
-from training.data.dataset import SPLITS, Source, open_source, read_table, refuse_split_groups, write_table
+from training.data.dataset import SPLITS, Source, data_sha256, open_source, read_table, refuse_split_groups, write_table
 from training.data.descents import Reader, Stored
 from training.data.labels import HALF_TURN_SIGNS, MIRROR_SIGNS, class_of
 from training.networks.pressing import DECISION_STEPS, LATTICE, STEP_MM
@@ -132,7 +132,7 @@ def _miscalibrate(fields: NDArray[np.float32], rng: np.random.Generator) -> None
 def load_pressed(config: DataConfig, source: Source | None = None) -> Pressed:
     """The views of a dataset's collisions, from the cache if it holds them; ContractError as `load_trials`."""
     source = open_source(config.path) if source is None else source
-    digest, count = str(source.manifest.sha256()), min(len(source), config.max_trials)
+    digest, count = data_sha256(source), min(len(source), config.max_trials)
     name = f"pressed-{reading_sha256(source, count)}-{count}-{config.views}.npz"
     path = Path(config.cache) / digest[:16] / name
     if not path.exists():

@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from reporting.machine import commit
 from training.config import JITTER, RecipeConfig, StageConfig, alone_in, pin, refuse_another
-from training.data.dataset import SPLITS, Source, load_table, open_source, refuse_empty_splits
+from training.data.dataset import SPLITS, Source, data_sha256, load_table, open_source, refuse_empty_splits
 from training.data.labels import CLASSES, class_of
 from training.data.recipe_data import Rows, chosen_trials, decision_frames, load_rows
 from training.fit.checkpoint import Checkpoint
@@ -38,7 +38,7 @@ def train_recipe(config: RecipeConfig, source: Source | None = None) -> Checkpoi
     folder = config.folder
     folder.mkdir(parents=True, exist_ok=True)
     refuse_another(folder, config)
-    digest: str = source.manifest.sha256()
+    digest = data_sha256(source)
     table = load_table(source, Path(config.cache) / digest[:16], len(source))
     refuse_empty_splits(table["split"])
     pin(folder, config, digest)
