@@ -5,8 +5,9 @@ those errors add up, and how the object was picked up shows in no gel. The secon
 both sides of the gap are level, a tilted object touches one of them earlier than the other. In a gap of 100 mm, a tilt
 of 1 deg makes 0.9 mm on either side.
 
-Both go into a Kalman filter of three numbers: the depth at which the object would touch if it were upright, its tilt,
-and how much lower one top is than the other. See docs/decisions/0192.
+Both go into a Kalman filter of four numbers: the depth at which the object would touch if it were upright, its tilt,
+how much lower one top is than the other, and the share of a press's turn that stays without any gel showing it. That
+share is a property of the grip: in several attempts it errs to the same side. See docs/decisions/0192.
 """
 
 import math
@@ -22,8 +23,9 @@ from service.perception.turning import both_deg, hangs_turned, lasting_turn_deg
 UPRIGHT_DEG = 2.0  # an object tilted by less counts as inserted
 SURE = 3.0  # standard deviations by which it has to stay below: 1 in 370 is outside
 PICKED_DEG = 0.5  # tilt of objects in the hand when they are picked up
-READ_DEG, READ_SHARE = 0.12, 0.5  # error of a turn read from the gels: always, and of the turn
+READ_DEG, READ_SHARE = 0.12, 0.3  # error of a turn read from the gels: always, and of the turn
 SLID_SHARE = 0.4  # and of the angle by which the arm went on after the gels had stopped following
+HIDDEN_SHARE, HIDDEN_SPREAD = 0.07, 0.15  # of the turn while pressed: it stays, and no gel shows it
 TOUCH_MM = 0.1  # error of the depth of a touch
 CREEP_MM, CREEP_SPREAD_MM = 0.05, 0.2  # an attempt pushes the object up in the hand by this
 SHOWS_DEG = 0.1  # a press that turns the object by less does not show on which side it touched
@@ -31,7 +33,7 @@ CONTRADICTS = 4.0  # a touch so many standard deviations from where it is expect
 MOST_TILT_DEG = 1.5  # of the tool, whatever the client allows: what is tilted further is regrasped
 LEAST_TILT_DEG = 0.15  # a smaller change of the tilt is not worth a move: the turn read from the gels errs by as much
 UNSEEN = "the gels do not show whether the last attempt has turned the object in the hand"
-_DEPTH, _TILT, _LEVEL = range(3)
+_DEPTH, _TILT, _LEVEL, _HIDDEN = range(4)
 
 
 class Touch(NamedTuple):
@@ -43,7 +45,7 @@ class Touch(NamedTuple):
 
 
 def _anything() -> NDArray[np.float64]:
-    return np.diag([1e4, PICKED_DEG**2, 0.0])
+    return np.diag([1e4, PICKED_DEG**2, 0.0, HIDDEN_SPREAD**2])
 
 
 @dataclass(slots=True)
@@ -57,7 +59,7 @@ class HeldTilt:
     tilt_deg: float = 0.0
     most_tilt_deg: float = 0.0
     unknown: str = ""
-    _mean: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    _mean: NDArray[np.float64] = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, HIDDEN_SHARE]))
     _spread: NDArray[np.float64] = field(default_factory=_anything)
     _pressed: PairObservation | None = None
     _slid_deg: float = 0.0
@@ -83,18 +85,23 @@ class HeldTilt:
         """Account for the object hanging free again; only the first pair after a blocked attempt counts."""
         if self._pressed is None:
             return
+        pressed_deg = both_deg(*(finger.slip.angle_rad for finger in self._pressed.fingers))
         turned_deg, self._pressed = lasting_turn_deg(self._pressed, both), None
-        self.turned(turned_deg, self._slid_deg)
+        self.turned(turned_deg, pressed_deg, self._slid_deg)
 
-    def turned(self, turned_deg: float, slid_deg: float) -> None:
+    def turned(self, turned_deg: float, pressed_deg: float, slid_deg: float) -> None:
         """The gels show that an attempt has turned the object by that much; NaN if they do not show it.
 
-        ``slid_deg``: as of :meth:`pressed`.
+        ``pressed_deg``: how far they showed it turned at the end of the press. ``slid_deg``: as of :meth:`pressed`.
         """
-        if not math.isfinite(turned_deg):
+        if not math.isfinite(turned_deg + pressed_deg):
             self.unknown = UNSEEN
             return
-        self._mean += [CREEP_MM, turned_deg, 0.0]
+        hidden = np.eye(len(self._mean))
+        hidden[_TILT, _HIDDEN] = pressed_deg
+        self._mean, self._spread = hidden @ self._mean, hidden @ self._spread @ hidden.T
+        self._mean[_DEPTH] += CREEP_MM
+        self._mean[_TILT] += turned_deg
         self._spread[_DEPTH, _DEPTH] += CREEP_SPREAD_MM**2
         self._spread[_TILT, _TILT] += READ_DEG**2 + (READ_SHARE * turned_deg) ** 2 + (SLID_SHARE * slid_deg) ** 2
 
@@ -146,7 +153,7 @@ class HeldTilt:
         if not abs(turned_deg) >= SHOWS_DEG:
             return
         side = math.copysign(1.0, turned_deg)
-        row = np.array([1.0, math.radians(side * touch.lever_mm), side])
+        row = np.array([1.0, math.radians(side * touch.lever_mm), side, 0.0])
         if self._spread[_LEVEL, _LEVEL] == 0.0:
             self._spread[_LEVEL, _LEVEL] = (0.5 * touch.level_mm) ** 2
         upright_mm = touch.depth_mm - row[_TILT] * self.tilt_deg

@@ -101,7 +101,7 @@ def test_an_object_that_is_grasped_anew_between_attempts_is_not_tilted_as_it_was
     session.on_tick(6 * S)
     assert session.decider is not None
     session.decider.grasp.tilt = HeldTilt()
-    session.decider.grasp.tilt.turned(1.0, 0.0)
+    session.decider.grasp.tilt.turned(1.0, 0.0, 0.0)
     learn(session, 7 * S)
     assert [answer.type for answer in shows(session, 0, 7 * S)] == ["open_learnt"]
     if forget:

@@ -103,7 +103,7 @@ def blocked_and_turned(session: InsertionSession, deg: float) -> None:
     session.handle(stopped(), S)
     assert session.decider is not None
     session.decider.grasp.tilt = HeldTilt()
-    session.decider.grasp.tilt.turned(deg, 0.0)
+    session.decider.grasp.tilt.turned(deg, 0.0, 0.0)
 
 
 def test_a_client_that_may_tilt_its_tool_is_asked_to_and_arms_the_same_attempt_again(models: ModelSet) -> None:
