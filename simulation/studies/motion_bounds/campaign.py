@@ -10,8 +10,12 @@ from typing import Any
 from reporting.files import added_rows, read_rows
 from service.contract.shipped import released_models
 from simulation.cell.run import RunOptions
+from simulation.closed_loop.campaign import claim, fingerprint
+from simulation.data.sources import ROOT
 from simulation.studies.motion_bounds.faults import FAULTS, Fault, Phase
 from simulation.studies.motion_bounds.play import row_of
+
+PROGRAMS = ("simulation", "service", "robot_client")  # of a live insertion
 
 
 @dataclass(frozen=True)
@@ -21,7 +25,8 @@ class BoundsOptions:
     out: Path = Path("docs")
     """folder of the page"""
     runs: Path = Path("runs/motion-bounds")
-    """folder of the faulty insertions and their rows; existing rows are not measured again"""
+    """folder of the faulty insertions and their rows; existing rows are not measured again, those of other code or
+    networks are refused"""
     models: Path = field(default_factory=released_models)
     """folder with the networks"""
     only: str = ""
@@ -37,7 +42,11 @@ def cases(only: str = "") -> list[tuple[Fault, Phase]]:
 
 
 def measure(options: BoundsOptions, tell: Callable[[str], None]) -> list[dict[str, Any]]:
-    """All rows, in the order of the cases; raises ChildError if a cell cannot be started."""
+    """All rows, in the order of the cases; raises ChildError if a cell cannot be started.
+
+    Raises ValueError if the folder holds rows of other code or networks.
+    """
+    claim(options.runs, fingerprint({"release": options.models}) | {name: _code_sha256(name) for name in PROGRAMS})
     asked, run = cases(options.only), RunOptions(models=options.models, client=options.client, fps=options.fps)
     other = json.dumps([run.chosen(), run.fps], sort_keys=True) if run.client or run.fps else ""
     log = options.runs / f"rows{other and '-' + sha256(other.encode()).hexdigest()[:8]}.jsonl"
@@ -49,3 +58,10 @@ def measure(options: BoundsOptions, tell: Callable[[str], None]) -> list[dict[st
                 add(row)
                 tell(f"{row['fault']}, {phase}: {row['travel_mm']:.2f} mm, {row['force_n']:.1f} N, {row['ended']}")
     return [done[fault.name, phase] for fault, phase in asked]
+
+
+def _code_sha256(folder: str) -> str:
+    digest = sha256()
+    for file in sorted((ROOT / folder).rglob("*.py")):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()

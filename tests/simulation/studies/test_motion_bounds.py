@@ -35,6 +35,9 @@ def test_a_campaign_that_was_killed_while_it_wrote_a_row_goes_on(tmp_path, monke
     assert [(row["fault"], row["phase"]) for row in first] == [("link reset", "air"), ("link reset", "contact")]
     monkeypatch.setattr(campaign, "row_of", lambda *_: pytest.fail("measured again"))
     assert campaign.measure(options, lambda _: None) == first
+    monkeypatch.setattr(campaign, "_code_sha256", str)
+    with pytest.raises(ValueError, match="holds results of other robot_client, service, simulation; expected an empty"):
+        campaign.measure(options, lambda _: None)
 
 
 def story(frames_ms, *, held_ms):
