@@ -23,7 +23,7 @@ from service.perception.turning import both_deg, hangs_turned, lasting_turn_deg
 UPRIGHT_DEG = 2.0  # an object tilted by less counts as inserted
 SURE = 3.0  # standard deviations by which it has to stay below: 1 in 370 is outside
 PICKED_DEG = 0.5  # tilt of objects in the hand when they are picked up
-READ_DEG, READ_SHARE = 0.12, 0.3  # error of a turn read from the gels: always, and of the turn
+READ_DEG, READ_SHARE = 0.12, 0.5  # error of a turn read from the gels: always, and of the turn
 SLID_SHARE = 0.4  # and of the angle by which the arm went on after the gels had stopped following
 HIDDEN_SHARE, HIDDEN_SPREAD = 0.07, 0.15  # of the turn while pressed: it stays, and no gel shows it
 TOUCH_MM = 0.1  # error of the depth of a touch
