@@ -170,9 +170,9 @@ def test_open_gels_are_seen_as_the_cameras_are_wired():
 
 
 def test_a_cell_whose_signs_are_known_straightens_what_another_has_to_regrasp() -> None:
-    """A slippery gel lets the object turn by most of a degree in the first two attempts."""
+    """A slippery gel lets the object turn by most of a degree in each press."""
     slow = {"ramps": {"descend": {"speed_mm_s": 5.0, "acceleration_mm_s2": 100.0, "jerk_mm_s3": 2000.0}}}
-    job = Job("rectangle", 0, 8.0, 6.0, 3, "belief", "fields", changes={"gel.friction": 0.4}, client=slow)
+    job = Job("rectangle", 0, 8.0, 6.0, 5, "belief", "fields", changes={"gel.friction": 0.4}, client=slow)
     ends = {}
     for known in (True, False):
         insertion = stage(job, models_of(released_models()))
@@ -183,7 +183,7 @@ def test_a_cell_whose_signs_are_known_straightens_what_another_has_to_regrasp() 
         ends[known] = outcome.grasps, sum(outcome.seconds.values()), insertion.cell.tilt_deg
     assert ends[True][0] == 1
     assert 0.3 < abs(ends[True][2]) <= plan.limits.max_straighten_deg
-    assert ends[False][0] == 2
+    assert ends[False][0] == 3
     assert ends[False][2] == 0.0
     assert ends[True][1] < ends[False][1], "a regrasp takes longer"
 
