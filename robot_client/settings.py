@@ -25,6 +25,7 @@ from service.contract.frames import Contract, ContractError
 from service.contract.refusals import describe, nearest
 from service.contract.token import is_loopback
 from service.contract.toml import read_toml
+from service.contract.wire_parts import DEPTH_TOLERANCE_MM
 
 REGISTRIES = {"robot": ROBOTS, "gripper": GRIPPERS}
 DEFAULT_DEVICES = {"robot": "abb_egm", "gripper": "wsg50"}
@@ -49,7 +50,7 @@ class Task(Contract):
     )  # how level the tops on both sides are; None: unknown
     neighbours_stay: bool = False  # no press pushes aside what stands beside the gap; False: unknown, or it may
     expected_depth_mm: float = Field(default=25.0, gt=0, le=1000)
-    depth_tolerance_mm: Positive = 1.0
+    depth_tolerance_mm: float = Field(default=DEPTH_TOLERANCE_MM, gt=0, le=DEPTH_TOLERANCE_MM)
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)  # deeper for an object pushed up in the hand: if free
     max_no_decisions: int = Field(default=2, ge=0, le=15)
     grip_n: float | None = Field(default=None, gt=0, le=1000)  # gripping force; None: not measured

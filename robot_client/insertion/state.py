@@ -15,6 +15,7 @@ from robot_client.insertion.motion import Ramps, check_ramps
 from robot_client.insertion.pace import ONE_SPEED, Pace, Tops
 from service.contract import wire
 from service.contract.frames import Contract, Finger
+from service.contract.wire_parts import DEPTH_TOLERANCE_MM
 
 
 class Phase(StrEnum):
@@ -93,7 +94,7 @@ class Plan(Contract):
     tops_level_mm: float | None = Field(default=None, ge=0, le=10)
     neighbours_stay: bool = False
     expected_depth_mm: float = Field(gt=0, le=1000)
-    depth_tolerance_mm: float = 1.0
+    depth_tolerance_mm: float = Field(default=DEPTH_TOLERANCE_MM, gt=0, le=DEPTH_TOLERANCE_MM)
     creep_allowance_mm: float = Field(default=0.0, ge=0, le=50)
     max_no_decisions: int = 2
     no_decisions: int = 0

@@ -10,6 +10,7 @@ from service.contract.model_card import ModelCard
 
 InsertionId = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,64}$")]
 MAX_SAMPLES = 64
+DEPTH_TOLERANCE_MM = 1.0  # a descent that ends higher above the expected depth is never claimed
 MOST_WAITED_NS = 600_000_000_000
 Outcome = Literal["blocked", "inserted", "dropped", "stopped"]
 ControllerName = Literal["heuristic", "belief"]

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from service.contract.wire import Cause, Doubt, DoubtReason
+from service.contract.wire_parts import DEPTH_TOLERANCE_MM
 from service.decision.attempt import Attempt
 from service.decision.held_tilt import UNSEEN, HeldTilt, Touch
 from service.decision.seating import NOISE_PITCH, Push, seating_evidence, stood_pitch, strongest_push
@@ -19,7 +20,6 @@ from service.perception.observation import Observation, PairObservation
 from service.perception.turning import turned_going_in
 
 Doubts = tuple[Doubt, ...]
-DEPTH_TOLERANCE_MM = 1.0  # a descent may end this much short of the expected depth
 FASTEST_MM_S = 250.0  # no guarded descent is faster: a depth reached sooner was not reached by a descent
 WIDTH_CHANGE_MM = 1.0  # a held object keeps the fingers apart; the gel yields by less
 BLIND_S = 0.25  # the longest part of a descent without a pair that shows the gels' load,

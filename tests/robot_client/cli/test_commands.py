@@ -58,7 +58,7 @@ from tests.robot_client.live_cell import bench
             "cycle.retreat_mm: Input should be greater than or equal to 1",
         ),
         ("[task]\nexpected_depth_mm = 4", "expected_depth_mm less its tolerance is 3"),
-        ("[task]\ndepth_tolerance_mm = 24.0", "expected_depth_mm less its tolerance is 1"),
+        ("[task]\ndepth_tolerance_mm = 1.5", "task.depth_tolerance_mm: expected a number > 0 and <= 1"),
         ("[ramps.travel]\nspeed_mm_s = 0\nacceleration_mm_s2 = 1\njerk_mm_s3 = 1", "limits"),
     ],
 )
