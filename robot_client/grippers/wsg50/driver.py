@@ -182,9 +182,11 @@ class Wsg50(Gripper):
         width_mm = await self.width_mm()
         faults = self.system & FAULT_BITS
         homed = SystemState.REFERENCED in self.system
+        cool = SystemState.TEMP_WARNING not in self.system
         return [
             Finding(not faults, f"faults: {faults.name or 'none'}" if faults else "no fault"),
             Finding(homed, "homed" if homed else f"not homed: run {_HOME}"),
+            Finding(cool, "no temperature warning" if cool else "temperature warning"),
             *map(self._allowed, self.limits),
             Finding(True, f"grasping state {self.state and self.state.name}, width {width_mm:.1f} mm"),
         ]

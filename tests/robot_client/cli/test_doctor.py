@@ -122,6 +122,7 @@ FAULTS = {
     "plc signal missing": (lambda cell: cycle(cell, plc=HandshakeSettings()), "controller", "Define the signal"),
     "guidance port taken": (taken_port, "network", "UCdevice"),
     "gripper not homed": (board(gripper={"not_homed": True}), "gripper", "home --live"),
+    "gripper too warm": (board(gripper={"temperature_warning": True}), "gripper", "cool"),
     "gripper fast stop": (lambda cell: cell.gripper.fast_stop(), "gripper", "--acknowledge"),
     "force beyond the gripper's": (
         lambda cell: with_(cell, gripper={"force_limit_n": 500.0}),
