@@ -173,7 +173,7 @@ async def test_fingers_that_are_not_homed_close_on_nothing_and_homing_says_where
         cell.board.update({"gripper": {"not_homed": False}})
         cell.mechanism.width_mm = 108.0
         width_mm = await cell.driver.home("outward")
-    assert [good for good, _ in findings] == [True, False, *[True] * 4]
+    assert [good for good, _ in findings] == [True, False, *[True] * 5]
     assert width_mm == pytest.approx(110.0)
 
 
