@@ -20,19 +20,24 @@ mkdir -p "$prefix"
 rm -rf "$prefix/app.new" "$prefix/venv.new"
 cp -r app "$prefix/app.new"
 chmod -R go+rX "$prefix/app.new"  # it may have been unpacked under another umask
+cp SHA256SUMS "$prefix/app.new/SHA256SUMS"
+# The same bundle once more repairs its installation: the version to go back to stays the one before it.
+old=old
+! cmp -s SHA256SUMS "$prefix/app/SHA256SUMS" || old=replaced
 # Two folders, renamed at the end: a failed installation leaves the running version as it was.
 python3 -m venv "$prefix/venv.new"
 "$prefix/venv.new/bin/python" -m pip install -q --no-index --find-links wheels --require-hashes --no-deps -r app/requirements/run.txt
 "$prefix/venv.new/bin/python" -m compileall -q "$prefix/app.new"
 for part in app venv; do
-  rm -rf "$prefix/$part.old"
-  [ ! -e "$prefix/$part" ] || mv "$prefix/$part" "$prefix/$part.old"
+  rm -rf "$prefix/$part.$old"
+  [ ! -e "$prefix/$part" ] || mv "$prefix/$part" "$prefix/$part.$old"
   mv "$prefix/$part.new" "$prefix/$part"
 done
+rm -rf "$prefix/app.replaced" "$prefix/venv.replaced"
 if [ "$units" = yes ]; then
   id tactile >/dev/null 2>&1 || useradd --system --home-dir /var/lib/tactile-insertion --shell /usr/sbin/nologin tactile
   # To go back takes the old unit, too: the new one may name folders that the old version does not have.
-  [ ! -e /etc/systemd/system/tactile-insertion@.service ] \
+  [ "$old" = replaced ] || [ ! -e /etc/systemd/system/tactile-insertion@.service ] \
     || cp /etc/systemd/system/tactile-insertion@.service "$prefix/tactile-insertion@.service.old"
   sed "s#/opt/tactile-insertion#$prefix#g" tactile-insertion@.service >"$prefix/tactile-insertion@.service"
   install -D -m 644 "$prefix/tactile-insertion@.service" /etc/systemd/system/tactile-insertion@.service

@@ -53,10 +53,32 @@ def noted(home: Path) -> dict[str, Any]:
     return {"env": os.environ | paths, "cwd": home}
 
 
+def unit_of_the_old_version(bundle: Path) -> Path:
+    """The old version's unit; the installer writes beside it from now on, instead of in this machine's /etc."""
+    unit = bundle.parent / "etc" / "systemd" / "system" / UNIT
+    unit.parent.mkdir(parents=True)
+    unit.write_text("old")
+    script = bundle / "install.sh"
+    script.write_text(script.read_text().replace(" /etc/", f" {bundle.parent}/etc/"))
+    return unit
+
+
 def test_an_upgrade_restarts_the_services_that_run_once_the_new_version_lies_there(bundle: Path) -> None:
     calls = [call for call in installed(bundle) if call.startswith("systemctl")]
     assert calls == ["systemctl daemon-reload [new]", "systemctl try-restart tactile-insertion@* [new]"]
     assert (bundle.parent / "prefix" / "app.old" / "version").read_text() == "old"
+
+
+def test_the_same_bundle_once_more_leaves_the_version_to_go_back_to(bundle: Path) -> None:
+    unit = unit_of_the_old_version(bundle)
+    installed(bundle)
+    unit.write_text("new")
+    prefix = bundle.parent / "prefix"
+    (prefix / "app" / "version").write_text("damaged")
+    assert installed(bundle)[-1] == "systemctl try-restart tactile-insertion@* [new]"
+    assert (prefix / "app.old" / "version").read_text() == "old"
+    assert (prefix / f"{UNIT}.old").read_text() == "old"
+    assert sorted(path.name for path in prefix.iterdir() if path.is_dir()) == ["app", "app.old", "venv", "venv.old"]
 
 
 @pytest.mark.parametrize("typed", ["", "prefix"])
@@ -71,11 +93,7 @@ def test_the_unit_runs_what_was_installed_wherever_that_is(bundle: Path, typed: 
 
 def test_the_way_back_on_the_page_brings_the_old_version_with_its_own_unit(bundle: Path) -> None:
     """A new unit may name folders that the old version does not have: its start would fail."""
-    units = bundle.parent / "etc" / "systemd" / "system"
-    units.mkdir(parents=True)
-    (units / UNIT).write_text("old")
-    script = bundle / "install.sh"
-    script.write_text(script.read_text().replace(" /etc/", f" {bundle.parent}/etc/"))
+    unit_of_the_old_version(bundle)
     installed(bundle)
     prefix = bundle.parent / "prefix"
     assert (prefix / f"{UNIT}.old").read_text() == "old"
