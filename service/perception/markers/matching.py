@@ -35,11 +35,15 @@ _NEAR, _FAR = (_STEPS[chosen] for chosen in (np.abs(_STEPS).max(1) <= 2, np.abs(
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """Positions ``xy_px`` [rows, cols, 2] of the nodes, ``valid`` where a spot was found, ``misfit`` per node seen."""
+    """Positions ``xy_px`` [rows, cols, 2] of the nodes, ``valid`` where a spot was found, ``misfit`` per node seen.
+
+    ``scatter``: of the valid nodes about their neighbours, mean square in that of a correct match, at most 25 a node.
+    """
 
     xy_px: FloatArray
     valid: BoolArray
     misfit: float
+    scatter: float
     torn_n: int
     spot: NDArray[np.intp]  # index of the candidate, -1 where none
 
@@ -116,12 +120,14 @@ def score_match(
     smooth = neighbour_mean(step, valid)
     guess = previous + smooth
     xy = np.where(valid[..., None], xy, guess).astype(np.float32)
-    scatter = _squared(step - smooth) / (_FINGERPRINT * pitch) ** 2
+    scatter = np.minimum(_squared(step - smooth) / (_FINGERPRINT * pitch) ** 2, _CAP)
     counts = view.contains(xy) | valid
-    cost = np.where(valid, np.minimum(scatter, _CAP), _CAP)[counts].sum()
-    stray = len(points) - int(np.count_nonzero(valid))
+    cost = np.where(valid, scatter, _CAP)[counts].sum()
+    hits_n = int(np.count_nonzero(valid))
     total = max(1, int(np.count_nonzero(counts)))
-    return Match(xy, valid, float((cost + _STRAY * stray) / total), int(torn.sum()), np.where(valid, spot, -1))
+    misfit = float((cost + _STRAY * (len(points) - hits_n)) / total)
+    uneven = float(scatter[valid].sum()) / max(1, hits_n)
+    return Match(xy, valid, misfit, uneven, int(torn.sum()), np.where(valid, spot, -1))
 
 
 def _torn(displacement: FloatArray, valid: BoolArray, limit: float) -> BoolArray:

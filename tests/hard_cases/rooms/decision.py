@@ -90,21 +90,6 @@ def estimates_at_the_edges_of_the_clip(seed: int) -> float:
 
 @case(
     "decision",
-    why="argmax of a tie depends on order, and a tie must not depend on anything else",
-    holds="the same tie gives the same command for either finger and in every call: spread",
-    guard="service.decision.evidence:Evidence.best",
-)
-def classes_in_a_tie(seed: int) -> float:
-    error = tuple(np.random.default_rng(seed).normal(0, 5, 2))
-    moves = {
-        (m.dx_mm, m.dtheta_deg)
-        for m in (Heuristic(LIMITS).decide(Evidence(CLASSES, UNIFORM, error), 1) for _ in range(5))
-    }
-    return float(len(moves) - 1)
-
-
-@case(
-    "decision",
     why="NaN compares false with every limit, so a clip would let it pass to the arm",
     holds="a non-finite estimate or sigma is refused by name: cases not refused",
     guard=Guard("service.decision.evidence:Evidence.__post_init__", "every number counts as finite", blind),

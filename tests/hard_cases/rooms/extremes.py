@@ -82,7 +82,7 @@ def extremes_in_the_robot_client(_seed: int) -> float:
     "decision",
     why="a belief shifted by 1e308 mm, or given an error of that size, has no cell left that explains it",
     holds="finite extremes give finite results or are refused by name: non-finite numbers",
-    guard="service.decision.belief:OUTLIER_SHARE",
+    guard=Guard("service.decision.belief:OUTLIER_SHARE", "every estimate belongs to the object", 0.0),
 )
 def extremes_in_the_decision(_seed: int) -> float:
     direction, magnitude, joint = _cards()

@@ -23,6 +23,7 @@ from robot_client.robots.abb_egm.codec import (
 from robot_client.robots.abb_egm.watch import EgmWatch
 from robot_client.silence import Silence
 from service.contract import wire
+from tests.hard_cases.instead import blind
 from tests.hard_cases.registry import Guard, case, non_finite, not_refused
 from tests.hard_cases.rooms.motion import BAD, pose
 
@@ -123,7 +124,7 @@ def gripper_frames_after_garbage(seed: int) -> float:
     "motion",
     why="a float32 field accepts NaN and infinity silently",
     holds="a gripper command with a non-finite number is refused: not refused",
-    guard="robot_client.grippers.wsg50.codec:_pack",
+    guard=Guard("robot_client.grippers.wsg50.codec:_pack", "every number counts as finite", blind),
 )
 def gripper_commands_that_are_no_numbers(_seed: int) -> float:
     return not_refused([lambda v=v: encode_request(Command.GRASP, v, 30.0) for v in BAD], WsgError)
@@ -192,11 +193,21 @@ def corrections_that_are_stale_or_absurd(_seed: int) -> float:
     return float(wrong)
 
 
+def lifts_when_due(_on_tick: object) -> Callable[[State, Tick], Result]:
+    """A deadline that has passed ends in a retraction."""
+
+    def lifted(state: State, tick: Tick) -> Result:
+        lift = Move(target=state.plan.approach, motion="retract")
+        return state, (lift,) if tick.at_s >= state.deadline_s else ()
+
+    return lifted
+
+
 @case(
     "motion",
     why="a clock that jumps makes every deadline pass at once, or never",
     holds="a tick at any time ends in a hold or nothing, never in a move: moves",
-    guard="robot_client.insertion.machine:_on_tick",
+    guard=Guard("robot_client.insertion.machine:_on_tick", "the arm lifts the object when time is up", lifts_when_due),
 )
 def ticks_at_impossible_times(_seed: int) -> float:
     state = deciding()

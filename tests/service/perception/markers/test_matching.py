@@ -203,7 +203,7 @@ def test_nodes_on_a_line_carry_no_grid() -> None:
 
 
 def placed_at(moved_px: np.ndarray, valid: np.ndarray) -> Match:
-    return Match((REST + moved_px).astype(np.float32), valid, 0.0, 0, np.zeros(valid.shape, np.intp))
+    return Match((REST + moved_px).astype(np.float32), valid, 0.0, 0.0, 0, np.zeros(valid.shape, np.intp))
 
 
 def test_motion_costs_half_a_point_a_pitch_and_nothing_in_sight_as_much_as_a_missing_marker() -> None:
