@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.perception.markers.detect import Candidates, MarkerDetector
-from service.perception.markers.field import BoolArray, FloatArray, median
+from service.perception.markers.field import RANDOM, BoolArray, FloatArray, median, neighbour_mean, scatter
 
 _STEPS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (column, row)
 _SIGNS = np.array([[1.0], [-1.0]], np.float32)
@@ -202,7 +202,17 @@ def _crop(spots: Candidates, index: NDArray[np.intp], reached: BoolArray, diamet
     if min(detected.shape) < 5 or detected.mean() < 0.6:
         return None
     filled, basis = fill_gaps(xy, detected)
-    return Lattice(filled, detected, basis, diameter_px, float(np.median(strength[detected])))
+    lattice = Lattice(filled, detected, basis, diameter_px, float(np.median(strength[detected])))
+    return None if _strewn(lattice) else lattice
+
+
+def _strewn(lattice: Lattice) -> bool:
+    """Whether the spots lie about a straight grid of this basis like dots at random: those of noise can be linked."""
+    rows, cols = lattice.detected.shape
+    steps = np.mgrid[0:rows, 0:cols].astype(np.float32)[::-1]
+    off = lattice.xy_px - np.tensordot(steps, lattice.basis_px, (0, 0))
+    apart = scatter(off - neighbour_mean(off, lattice.detected), lattice.pitch_px)
+    return float(apart[lattice.detected].mean()) > RANDOM
 
 
 def _run(good: BoolArray) -> slice:

@@ -11,14 +11,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from service.perception.markers.field import BoolArray, FloatArray, neighbour_mean, neighbour_median
+from service.perception.markers.field import (
+    MOST_SCATTER,
+    BoolArray,
+    FloatArray,
+    neighbour_mean,
+    neighbour_median,
+    scatter,
+)
 from service.perception.markers.lattice import fill_gaps, flood, lattice_basis, neighbours
 
 _SEARCH = 0.46  # pitch; a node's spot lies within this of its prediction
 _TEAR = 0.5  # pitch; a node that deviates this much from its neighbours is a wrong match
-_FINGERPRINT = 0.03  # pitch; scatter of a correct match about its neighbours
 _FLAT = 1e-9  # of the spread squared; nodes with a smaller spread across lie on one line
-_CAP = 25.0  # cost of a node without a spot, or of one five sigma off
+_CAP = MOST_SCATTER  # cost of a node without a spot, or of one five sigma off
 _BEYOND = 1e6  # px
 _WINDOW = np.ones((3, 3), np.uint8)
 _LEAST_N = 9  # spots required for a placement
@@ -37,7 +43,7 @@ _NEAR, _FAR = (_STEPS[chosen] for chosen in (np.abs(_STEPS).max(1) <= 2, np.abs(
 class Match:
     """Positions ``xy_px`` [rows, cols, 2] of the nodes, ``valid`` where a spot was found, ``misfit`` per node seen.
 
-    ``scatter``: of the valid nodes about their neighbours, mean square in that of a correct match, at most 25 a node.
+    ``scatter``: the mean one of the valid nodes about their neighbours, see `field.scatter`.
     """
 
     xy_px: FloatArray
@@ -120,13 +126,13 @@ def score_match(
     smooth = neighbour_mean(step, valid)
     guess = previous + smooth
     xy = np.where(valid[..., None], xy, guess).astype(np.float32)
-    scatter = np.minimum(_squared(step - smooth) / (_FINGERPRINT * pitch) ** 2, _CAP)
+    off = scatter(step - smooth, pitch)
     counts = view.contains(xy) | valid
-    cost = np.where(valid, scatter, _CAP)[counts].sum()
+    cost = np.where(valid, off, _CAP)[counts].sum()
     hits_n = int(np.count_nonzero(valid))
     total = max(1, int(np.count_nonzero(counts)))
     misfit = float((cost + _STRAY * (len(points) - hits_n)) / total)
-    uneven = float(scatter[valid].sum()) / max(1, hits_n)
+    uneven = float(off[valid].sum()) / max(1, hits_n)
     return Match(xy, valid, misfit, uneven, int(torn.sum()), np.where(valid, spot, -1))
 
 

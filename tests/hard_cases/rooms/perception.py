@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 
 from service.contract import Sensor
@@ -129,7 +130,7 @@ AS_BEFORE = Guard(
     lambda _: lambda tracker, captured_ns, why: tracker._stale(captured_ns, "duplicate", why),
 )
 TOO_FEW = Guard(f"{TRACKER}MarkerTracker._track", "any number of markers is enough", with_globals(len=lambda _: 99))
-NO_GRID = Guard(f"{TRACKER}_RANDOM", "spots may lie as they like", np.inf)
+NO_GRID = Guard(f"{TRACKER}RANDOM", "spots may lie as they like", np.inf)
 HALF = Guard(f"{TRACKER}TrackerSettings", "half of a grid is no grid", lambda usual: lambda: usual(lost_share=0.6))
 
 _frame_case("black", "no marker has any contrast, and contrast is a divisor", TOO_FEW, quick=True)
@@ -139,6 +140,24 @@ _frame_case("covered", "half the markers are gone at once", HALF, REST)
 _frame_case("line", "a single row of markers determines no grid", AS_BEFORE)
 _frame_case("three", "three markers are fewer than a fit needs", AS_BEFORE)
 _frame_case("scattered", "400 dots in no order offer a wrong partner to every marker", NO_GRID)
+
+
+@case(
+    "perception",
+    why="among hundreds of blobs some lie as if they were the nodes of a small grid",
+    holds="pictures of noise, blurred or not, and of strewn dots contain no grid: grids found in 12",
+    guard=Guard(
+        "service.perception.markers.lattice:_strewn", "spots may lie as they like", lambda _: lambda _grid: False
+    ),
+)
+def first_frames_without_a_grid(seed: int) -> float:
+    rng = np.random.default_rng(seed)
+    blurred = [
+        cv2.GaussianBlur(rng.integers(0, 256, (320, 327)).astype(np.float32), (0, 0), px) for px in (1, 2, 4) * 2
+    ]
+    images = [cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8) for image in blurred]
+    images += [hard_image(name, rng) for name in ("noise", "scattered") * 3]
+    return float(sum(MarkerTracker().update(image, 0).status != "no_grid" for image in images))
 
 
 @case(
