@@ -73,14 +73,18 @@ _hard_case("black", "no light at all: every contrast is 0")
 _hard_case("saturated", "every pixel is clipped at 255")
 _hard_case("black and white in turn", "the difference is the largest that uint8 holds, with either sign")
 _hard_case("noise", "nothing like a marker anywhere")
+IMPOSSIBLE = {
+    "single leaping marker": "one of hundreds, taken for another, leaps a hundred pixels or mm",
+    "one marker left": "a mean and a spread over a single point, on one finger only",
+    "torn off and back in turn": "displacements of ten thousand come and go",
+    "noise": "displacements of hundreds with no pattern",
+}
 for _networks in (MARKERS, STEPS):
     _hard_case("no difference", "no marker moved: every displacement is exactly zero", _networks)
-    _hard_case("single leaping marker", "one of hundreds, taken for another, leaps a hundred pixels or mm", _networks)
-    _hard_case("one marker left", "a mean and a spread over a single point, on one finger only", _networks)
     _hard_case("nothing seen", "every marker is lost, and a mean over those seen would divide by none", _networks)
-    _hard_case("torn off and back in turn", "displacements of ten thousand come and go", _networks)
     _hard_case("denormals", "displacements below 1e-38 have fewer digits", _networks)
-    _hard_case("noise", "displacements of hundreds with no pattern", _networks)
+    for _name, _why in IMPOSSIBLE.items():
+        _hard_case(_name, _why, _networks)
 
 
 @case(

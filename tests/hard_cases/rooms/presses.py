@@ -5,13 +5,16 @@ from typing import Any
 
 import numpy as np
 
+from export.onnx.golden import hard_input
 from export.onnx.model import geometry_inputs, steps
 from service.contract.model_card import CONDITIONS
+from service.decision.evidence import DecisionRun, Refusal
+from service.decision.models import load_models
 from service.perception.markers.field import MarkerField
 from tests.hard_cases.instead import waved_through
 from tests.hard_cases.presses import FOLDERS, SENSOR, TOUCH_MM, Answer, Press
-from tests.hard_cases.registry import Guard, case, not_refused
-from tests.hard_cases.rooms.networks import LARGEST, STEPS, golden, largest_of, released
+from tests.hard_cases.registry import ROOT, Guard, case, not_refused
+from tests.hard_cases.rooms.networks import IMPOSSIBLE, LARGEST, STEPS, golden, largest_of, released
 
 PITCH_MM, MOST_REACH_MM = SENSOR.marker_pitch_mm, 100.0  # the most that a client can state
 OUTSIDE = "out_of_distribution"
@@ -147,3 +150,22 @@ def one_marker(field: MarkerField, pressed_mm: float) -> MarkerField:
 def one_marker_left_in_the_press(seed: int) -> float:
     presses = [Press(seed, marked=marked) for marked in ((one_marker, None), (None, one_marker))]
     return _not_refused(presses, OUTSIDE, "strangeness")
+
+
+@case(
+    "networks",
+    why="a network answers whatever it is asked, and confidently",
+    holds="motions that no press makes are refused as strange by those that read steps: not refused",
+    guard=Guard("service.decision.evidence:check_strangeness", "any motion will do", waved_through),
+)
+def motions_that_no_press_makes(_seed: int) -> float:
+    missed = 0.0
+    for folder in FOLDERS:
+        models = load_models(ROOT / "models" / folder)
+        for name in IMPOSSIBLE:
+            pairs = hard_input(models.card)[name]
+            run = DecisionRun(models, pairs[0], 56.0)
+            for pair in pairs:
+                run.step(pair)
+            missed += not_refused([run.evidence], Refusal, "strangeness")
+    return missed
