@@ -89,10 +89,7 @@ class Press:
             pair = self._field(0, float(at_s)), self._field(1, float(at_s))
             yield round(1e9 * at_s), pair
             if self.late and number % 2 and self.pressed_mm(float(at_s)):
-                torn = [
-                    replace(one, captured_ns=0, status="duplicate", displacement_px=one.displacement_px + 1e4)
-                    for one in pair
-                ]
+                torn = [replace(one, captured_ns=0, displacement_px=one.displacement_px + 1e4) for one in pair]
                 yield round(1e9 * at_s), (torn[0], torn[1])
 
     def _field(self, side: int, at_s: float) -> MarkerField:
