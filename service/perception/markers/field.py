@@ -15,7 +15,6 @@ BoolArray = NDArray[np.bool_]
 
 
 MOST_SCATTER = 25.0
-RANDOM = 16.0  # mean scatter of noise and strewn dots: 17.2 and more; of 71,794 real frames: 15.0 at most
 _FINGERPRINT = 0.03  # pitch; scatter of a correct match about its neighbours
 _CARRIED = 2  # steps; a grid further outside its lattice belongs to another camera
 _TOUCHED_N_PER_MM2 = 1e-4  # a simulated node that is pressed harder is in contact
@@ -131,7 +130,7 @@ def neighbour_mean(values: FloatArray, valid: BoolArray) -> FloatArray:
 def scatter(apart_px: FloatArray, pitch_px: float) -> FloatArray:
     """Squared deviation [rows, cols] of nodes from their neighbours' mean, in that of a correct match; at most 25.
 
-    ``apart_px`` [rows, cols, 2]. Where its mean over a grid exceeds `RANDOM`, the spots follow no grid.
+    ``apart_px`` [rows, cols, 2] or of any nodes. Dots at random have a mean of some 20.
     """
     squared = apart_px[..., 0] * apart_px[..., 0] + apart_px[..., 1] * apart_px[..., 1]
     return np.minimum(squared / (_FINGERPRINT * pitch_px) ** 2, MOST_SCATTER)

@@ -20,7 +20,7 @@ def irregular_pitch(field: MarkerField) -> float:
     may = field.valid
     if not field.usable or may.sum() < _FEWEST_N:
         return np.inf
-    terms = _bent_print(*may.shape)[may]
+    terms = bent_print(*may.shape)[may]
     points = (field.rest_px + field.displacement_px)[may].astype(np.float64)
     squares = terms.T @ terms + 1e-9 * np.eye(terms.shape[1])
     off = points - terms @ np.linalg.solve(squares, terms.T @ points)
@@ -29,7 +29,7 @@ def irregular_pitch(field: MarkerField) -> float:
 
 
 @cache
-def _bent_print(rows: int, columns: int) -> NDArray[np.float64]:
+def bent_print(rows: int, columns: int) -> NDArray[np.float64]:
     """Terms [rows, columns, 10] of a grid of any place, size, turn and tilt, with radial distortion to fifth order."""
     row, column = np.mgrid[0:rows, 0:columns].astype(np.float64)
     size = 2 / max(rows - 1, columns - 1)

@@ -130,7 +130,7 @@ AS_BEFORE = Guard(
     lambda _: lambda tracker, captured_ns, why: tracker._stale(captured_ns, "duplicate", why),
 )
 TOO_FEW = Guard(f"{TRACKER}MarkerTracker._track", "any number of markers is enough", with_globals(len=lambda _: 99))
-NO_GRID = Guard(f"{TRACKER}RANDOM", "spots may lie as they like", np.inf)
+NO_GRID = Guard(f"{TRACKER}_RANDOM", "spots may lie as they like", np.inf)
 HALF = Guard(f"{TRACKER}TrackerSettings", "half of a grid is no grid", lambda usual: lambda: usual(lost_share=0.6))
 
 _frame_case("black", "no marker has any contrast, and contrast is a divisor", TOO_FEW, quick=True)

@@ -1,5 +1,7 @@
 """A grid is found by the topology of its spots, whatever its turn, its gaps and what lies around it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,6 +13,7 @@ from service.perception.markers.lattice import (
     Lattice,
     _most_merit,
     _run,
+    _strewn,
     _strong,
     assemble,
     fill_gaps,
@@ -134,6 +137,28 @@ def test_a_stray_spot_in_the_middle_hides_no_grid() -> None:
     lattice = assemble(spots(np.concatenate([stray, REST.reshape(-1, 2)])), np.eye(2, dtype=np.float32) * PITCH, 5.0)
     assert lattice is not None
     assert lattice.xy_px == pytest.approx(REST)
+
+
+@pytest.mark.parametrize("bend", [-0.4, -0.25, 0.4])
+@pytest.mark.parametrize(("rows", "cols"), [(20, 21), (7, 9), (5, 5)])
+def test_a_lens_makes_no_strewn_dots_of_a_grid(rows: int, cols: int, bend: float) -> None:
+    out = (grid(rows, cols, PITCH) - grid(rows, cols, PITCH).mean((0, 1))) / (0.5 * PITCH * cols)
+    bent = 160.0 + 0.5 * PITCH * cols * out * (1.0 + bend * np.square(out).sum(-1, keepdims=True))
+    lattice = Lattice(bent.astype(np.float32), np.ones((rows, cols), bool), np.eye(2, dtype=np.float32), 5.0, 1.0)
+    lattice = replace(lattice, basis_px=fill_gaps(lattice.xy_px, lattice.detected)[1])
+    assert not _strewn(lattice)
+
+
+@given(st.integers(0, 1000), st.floats(0.1, 0.6))
+def test_dots_that_lie_about_a_grid_as_if_at_random_are_none(seed: int, off: float) -> None:
+    """In pitches: the limit lies between what loaded gels show and what blobs of noise do."""
+    rng, rest = np.random.default_rng(seed), grid(12, 12, PITCH)
+    placed = rest + PITCH * off * rng.uniform(-1, 1, rest.shape)
+    lattice = Lattice(placed.astype(np.float32), np.ones((12, 12), bool), np.eye(2, dtype=np.float32) * PITCH, 5.0, 1.0)
+    if off < 0.12:
+        assert not _strewn(lattice)
+    if off > 0.4:
+        assert _strewn(lattice)
 
 
 @pytest.mark.parametrize(("rows", "cols", "enough"), [(5, 5, True), (4, 9, False), (9, 4, False)])
