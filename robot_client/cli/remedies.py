@@ -31,7 +31,7 @@ REMEDIES: tuple[tuple[str, str], ...] = (
     (r"how late pictures", "Commission again with a wider part or a firmer grip, or set lease.stop_lag_s."),
     (r"not homed", "Home the empty gripper: `tactile-insertion home --live`."),
     (r"force_limit|grasp_", "Set the value of that name in [gripper] to one that the gripper allows."),
-    (r"temperature warning", "Let the gripper cool: warmer still, it stops with a fault. Lower the force limit."),
+    (r"temperature warning", "Let the gripper cool, or lower force_limit_n: if it gets warmer, it stops with a fault."),
     (r"FAST_STOP|fault", "Find the cause, then `tactile-insertion home --live --acknowledge`."),
     (
         r"gripper: .*no reply",

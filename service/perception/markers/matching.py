@@ -43,7 +43,7 @@ _NEAR, _FAR = (_STEPS[chosen] for chosen in (np.abs(_STEPS).max(1) <= 2, np.abs(
 class Match:
     """Positions ``xy_px`` [rows, cols, 2] of the nodes, ``valid`` where a spot was found, ``misfit`` per node seen.
 
-    ``scatter``: the mean one of the valid nodes about their neighbours, see `field.scatter`.
+    ``scatter``: the mean of `field.scatter` over the valid nodes.
     """
 
     xy_px: FloatArray
@@ -126,14 +126,14 @@ def score_match(
     smooth = neighbour_mean(step, valid)
     guess = previous + smooth
     xy = np.where(valid[..., None], xy, guess).astype(np.float32)
-    off = scatter(step - smooth, pitch)
+    scattered = scatter(step - smooth, pitch)
     counts = view.contains(xy) | valid
-    cost = np.where(valid, off, _CAP)[counts].sum()
+    cost = np.where(valid, scattered, _CAP)[counts].sum()
     hits_n = int(np.count_nonzero(valid))
     total = max(1, int(np.count_nonzero(counts)))
     misfit = float((cost + _STRAY * (len(points) - hits_n)) / total)
-    uneven = float(off[valid].sum()) / max(1, hits_n)
-    return Match(xy, valid, misfit, uneven, int(torn.sum()), np.where(valid, spot, -1))
+    mean_scatter = float(scattered[valid].sum()) / max(1, hits_n)
+    return Match(xy, valid, misfit, mean_scatter, int(torn.sum()), np.where(valid, spot, -1))
 
 
 def _torn(displacement: FloatArray, valid: BoolArray, limit: float) -> BoolArray:

@@ -110,4 +110,5 @@ def twists_of_sixty_degrees(seed: int) -> float:
     slip.rearm(first)
     states = [slip.update(field) for field in others]
     off_deg = [np.rad2deg(state.angle_rad) - 5.0 * k for k, state in enumerate(states, 1)]
-    return max(*(state.score for state in states), *np.abs(off_deg))
+    slips = [float("slip" in state.state) for state in states]
+    return max(*slips, *(state.score for state in states), *np.abs(off_deg))

@@ -1,7 +1,5 @@
 """A grid is found by the topology of its spots, whatever its turn, its gaps and what lies around it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -144,21 +142,21 @@ def test_a_stray_spot_in_the_middle_hides_no_grid() -> None:
 def test_a_lens_makes_no_strewn_dots_of_a_grid(rows: int, cols: int, bend: float) -> None:
     out = (grid(rows, cols, PITCH) - grid(rows, cols, PITCH).mean((0, 1))) / (0.5 * PITCH * cols)
     bent = 160.0 + 0.5 * PITCH * cols * out * (1.0 + bend * np.square(out).sum(-1, keepdims=True))
-    lattice = Lattice(bent.astype(np.float32), np.ones((rows, cols), bool), np.eye(2, dtype=np.float32), 5.0, 1.0)
-    lattice = replace(lattice, basis_px=fill_gaps(lattice.xy_px, lattice.detected)[1])
+    all_of_it = np.ones((rows, cols), bool)
+    _, basis = fill_gaps(bent.astype(np.float32), all_of_it)
+    lattice = Lattice(bent.astype(np.float32), all_of_it, basis, 5.0, 1.0)
     assert not _strewn(lattice)
 
 
-@given(st.integers(0, 1000), st.floats(0.1, 0.6))
-def test_dots_that_lie_about_a_grid_as_if_at_random_are_none(seed: int, off: float) -> None:
-    """In pitches: the limit lies between what loaded gels show and what blobs of noise do."""
-    rng, rest = np.random.default_rng(seed), grid(12, 12, PITCH)
-    placed = rest + PITCH * off * rng.uniform(-1, 1, rest.shape)
-    lattice = Lattice(placed.astype(np.float32), np.ones((12, 12), bool), np.eye(2, dtype=np.float32) * PITCH, 5.0, 1.0)
-    if off < 0.12:
-        assert not _strewn(lattice)
-    if off > 0.4:
-        assert _strewn(lattice)
+@pytest.mark.parametrize(("off_pitch", "strewn"), [(0.12, False), (0.4, True)])
+@given(seed=st.integers(0, 1000))
+def test_the_limit_lies_between_what_loaded_gels_show_and_dots_at_random(
+    off_pitch: float, seed: int, *, strewn: bool
+) -> None:
+    off = off_pitch * PITCH * np.random.default_rng(seed).uniform(-1, 1, (12, 12, 2))
+    placed = (grid(12, 12, PITCH) + off).astype(np.float32)
+    basis = np.eye(2, dtype=np.float32) * PITCH
+    assert _strewn(Lattice(placed, np.ones((12, 12), bool), basis, 5.0, 1.0)) is strewn
 
 
 @pytest.mark.parametrize(("rows", "cols", "enough"), [(5, 5, True), (4, 9, False), (9, 4, False)])
