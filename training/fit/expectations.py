@@ -79,9 +79,14 @@ def _rows(path: Path) -> list[dict[str, Any]]:
 
 
 def _steps(row: Mapping[str, Any]) -> Iterator[tuple[float, float, float, float]]:
-    """Error in x before an attempt, its creep in x (mm) and yaw (deg), and its grasp height above 30 mm."""
+    """Error in x before an attempt, its creep in x (mm) and yaw (deg), and its grasp height above 30 mm.
+
+    Attempts count from 1 again in a new grasp, in which nothing of the earlier creep is left.
+    """
     height_mm = row["changes"].get("grasp.height_mm", UNSTATED_HEIGHT_MM)
     for one, following in zip(row["trials"], row["trials"][1:], strict=False):
+        if following["decision"]["attempt"] != one["decision"]["attempt"] + 1:
+            continue
         (x_mm, yaw_deg), (next_x, next_yaw), move = one["error_before"], following["error_before"], one["decision"]
         if "dx_mm" in move and abs(x_mm) > _STILL_MM:
             crept = next_x - x_mm - move["dx_mm"], next_yaw - yaw_deg - move["dtheta_deg"]

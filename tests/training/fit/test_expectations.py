@@ -18,7 +18,7 @@ USUAL = Expectations()
 def log_of(path, far_mm, near_mm, per_mm, rng, count=400, unstated_n=0):
     """Insertions of two attempts whose object crept outwards by a given amount, a few of them far more.
 
-    The first ones are in a world that states no height, where objects are held at 30 mm.
+    The first ones are in a world that states no height, where objects are held at 30 mm. A new grasp follows each.
     """
     with path.open("w") as file:
         for number in range(count):
@@ -27,9 +27,11 @@ def log_of(path, far_mm, near_mm, per_mm, rng, count=400, unstated_n=0):
             move = float(rng.uniform(-5, 5))
             crept = near_mm + per_mm * (height_mm - 30) if abs(x_mm) < USUAL.near_mm else far_mm
             crept += float(rng.normal(0, 0.2)) + (8.0 if rng.random() < 0.05 else 0.0)
+            stays, far_off_mm = {"dx_mm": 0.0, "dtheta_deg": 0.0}, float(rng.uniform(-14, 14))
             trials = [
-                {"error_before": [x_mm, 1.0], "decision": {"dx_mm": move, "dtheta_deg": -0.5}},
-                {"error_before": [x_mm + move + np.sign(x_mm) * crept, 0.5], "decision": {}},
+                {"error_before": [x_mm, 1.0], "decision": {"attempt": 3, "dx_mm": move, "dtheta_deg": -0.5}},
+                {"error_before": [x_mm + move + np.sign(x_mm) * crept, 0.5], "decision": {"attempt": 4} | stays},
+                {"error_before": [far_off_mm, 9.0], "decision": {"attempt": 1} | stays},
             ]
             changes = {} if number < unstated_n else {"grasp.height_mm": height_mm}
             file.write(json.dumps({"changes": changes, "trials": trials}) + "\n")
