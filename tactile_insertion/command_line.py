@@ -9,6 +9,7 @@ import difflib
 import importlib
 import io
 import os
+import re
 import shutil
 import sys
 import textwrap
@@ -78,15 +79,22 @@ def _run(name: str, command: Command, rest: list[str]) -> int:
 
 
 def _help(entry: Callable[[list[str]], int], words: list[str]) -> int:
-    """A command's own help, with its long paragraphs wrapped to the terminal."""
+    """A command's own help, with the commands named as here and long paragraphs wrapped to the terminal."""
     written = io.StringIO()
     try:
         with contextlib.redirect_stdout(written):
             return int(entry(words))
     finally:
         width = min(WIDTH, shutil.get_terminal_size().columns)
-        lines = written.getvalue().splitlines()
+        lines = _named_as_here(written.getvalue()).splitlines()
         _show("\n".join(line if len(line) <= width else textwrap.fill(line, width) for line in lines))
+
+
+def _named_as_here(text: str) -> str:
+    """The text with each `python -m PACKAGE NAME` as the `tactile-insertion` command."""
+    for name, command in COMMANDS.items():
+        text = re.sub(rf"python -m {command.package} {command.name}\b", f"tactile-insertion {name}", text)
+    return text
 
 
 def _show(text: str) -> None:

@@ -30,8 +30,8 @@ def test_every_command_helps_from_its_own_package_within_80_columns(name, capsys
         sys.exit(main([name, "--help"]))
     assert ended.value.code in (0, None)
     out = capsys.readouterr().out
-    command = COMMANDS[name]
-    assert out.startswith((f"usage: tactile-insertion {name} ", f"usage: python -m {command.package} {command.name} "))
+    assert out.startswith(f"usage: tactile-insertion {name} ")
+    assert "python -m" not in out
     assert max(map(len, out.splitlines())) <= 80
 
 

@@ -122,7 +122,7 @@ def adapt(
     Args:
         recordings: folder of recordings of the cell, real or simulated.
         start: released checkpoint.
-        out: folder of the new checkpoint.pt; `python -m export onnx` makes a model folder of it.
+        out: folder of the new checkpoint.pt; `tactile-insertion export` makes a model folder of it.
         around: dataset of simulated presses of the cell's objects, from `collect --around`, for one more stage.
         record: record of the cell's commissioning; of all probes only those that it lists count, and not those before
             a mistake was repaired, or with another gel.
@@ -158,7 +158,7 @@ def expect(
 
     Args:
         checkpoint: a ``checkpoint.pt`` written by ``train``; it is replaced.
-        insertions: logs (.insertions.jsonl) of `python -m simulation evaluate` with these networks.
+        insertions: logs (.insertions.jsonl) of `tactile-insertion evaluate` with these networks.
     """
     from dataclasses import replace
 
