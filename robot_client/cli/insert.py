@@ -102,7 +102,7 @@ def way_of(plan: Plan) -> str:
     down_mm_s = max(ramps.descend.speed_mm_s, plan.pace.fast_mm_s or 0.0)
     return (
         f"up to z {max(above, plan.over_mm or above):+g} mm at least, over, to z {above:+g} mm, at up to"
-        f" {ramps.travel.speed_mm_s:g} mm/s and with no watch for touch; then, watched, down to"
+        f" {ramps.unwatched_mm_s:g} mm/s and with no watch for touch; then, watched, down to"
         f" z {plan.deepest.z_mm:+g} mm at up to {down_mm_s:g} mm/s"
     )
 

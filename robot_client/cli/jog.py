@@ -21,7 +21,7 @@ def jog(settings: Settings, target: WorkPose, *, live: bool) -> Outcome:
         show(f"would {way}; within the limits")
         return Outcome(True, {"live": False, "target": target.model_dump()})
     show(warning(live=True, simulated=settings.simulated))
-    show(f"will {way}, at up to {settings.ramps.travel.speed_mm_s:g} mm/s and with no watch for touch")
+    show(f"will {way}, at up to {settings.ramps.unwatched_mm_s:g} mm/s and with no watch for touch")
     return asyncio.run(_jog(settings, target))
 
 

@@ -56,6 +56,11 @@ class Ramps(Contract):
     def of(self, motion: Motion) -> Ramp:
         return {"travel": self.travel, "descend": self.descend, "retract": self.retract}[motion]
 
+    @property
+    def unwatched_mm_s(self) -> float:
+        """Highest speed of the motions in which nobody watches for touch: over, and straight up."""
+        return max(self.travel.speed_mm_s, self.retract.speed_mm_s)
+
     def duration_s(self, start: WorkPose, end: WorkPose, motion: Motion) -> float:
         """Time from rest to rest, lag not counted."""
         return self.profile(start, end, motion).duration_s

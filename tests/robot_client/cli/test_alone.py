@@ -48,17 +48,19 @@ def test_a_client_that_was_killed_keeps_nobody_out():
             pass
 
 
-def test_a_jog_says_where_it_will_go_before_it_connects(monkeypatch, capsys):
+@pytest.mark.parametrize(("slow", "stated_mm_s"), [({}, 80), ({"travel"}, 25), ({"travel", "retract"}, 10)])
+def test_a_jog_says_where_it_will_go_before_it_connects(monkeypatch, capsys, tmp_path, slow, stated_mm_s):
     async def jog(_settings, _target):
         connected.append(capsys.readouterr().out)
         return Outcome(True, {})
 
     connected = []
     monkeypatch.setattr(jogging, "_jog", jog)
-    assert main(["jog", "--live", "--z-mm", "60", "--gripper", AT]) == 0
+    (config := tmp_path / "cell.toml").write_text("".join(f"[ramps.{ramp}]\nspeed_mm_s = 10.0\n" for ramp in slow))
+    assert main(["jog", "--live", "--config", str(config), "--z-mm", "60", "--gripper", AT]) == 0
     printed = " ".join(connected[0].split())
     assert "will go up to z +35.00 mm at least, over, then down to x +0.00, y +0.00, z +60.00 mm" in printed
-    assert "at up to 80 mm/s and with no watch for touch" in printed
+    assert f"at up to {stated_mm_s} mm/s and with no watch for touch" in printed
 
 
 @pytest.mark.parametrize("interrupted", [False, True])
