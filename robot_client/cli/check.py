@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Sequence
 
+from robot_client.cli.alone import alone
 from robot_client.cli.insert import make_plan, with_commissioning
 from robot_client.cli.terminal import Outcome, show
 from robot_client.insertion.events import Event, Failure, FromService
@@ -36,15 +37,23 @@ async def _check(settings: Settings) -> Outcome:
 
 
 async def findings_of(settings: Settings) -> AsyncIterator[tuple[str, Finding]]:
-    """Check the plan, every device and the service; yield each finding with the name of its check; moves nothing."""
+    """Check the plan, every device and the service; yield each finding with the name of its check; moves nothing.
+
+    Devices that another client uses are left to it: a gripper takes one connection, also between a cycle's steps.
+    """
     arm, gripper = settings.make_arm(), settings.make_gripper()
     checks: dict[str, Check] = {
         "plan": lambda: _plan(settings),
         **({"cell": lambda: _commissioned(settings)} if settings.commissioning and not settings.simulated else {}),
-        **arm.checks(),
-        **gripper.checks(),
         "service": lambda: _service(settings),
     }
+    kept = contextlib.ExitStack()
+    try:
+        kept.enter_context(alone(settings))
+    except DriverError as error:
+        yield "gripper", Finding(False, str(error))
+    else:
+        checks |= {**arm.checks(), **gripper.checks()}
     if settings.cycle and settings.cycle.plc and (signals := arm.signals()):
         names = settings.cycle.plc
         checks["plc"] = lambda: _plc(signals, [names.start, names.ready, names.done, names.fault])
@@ -62,6 +71,7 @@ async def findings_of(settings: Settings) -> AsyncIterator[tuple[str, Finding]]:
         for port in (arm, gripper):
             with contextlib.suppress(Exception):
                 await port.close()
+        kept.close()
 
 
 async def _plc(signals: Signals, names: list[str]) -> list[Finding]:

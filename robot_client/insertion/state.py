@@ -46,14 +46,17 @@ SLOWEST_MM_S = 4.0  # after an object has turned; more slowly, frames at 120 Hz 
 
 
 class Timeouts(Contract):
-    """Largest duration of each phase; ``motion_s`` is added to the planned time of a move."""
+    """Largest duration of each phase; ``motion_s`` is added to the planned time of a move.
+
+    ``closing_s``: `finished` comes once the recording is on its disk, which may be a slow share; the arm stands.
+    """
 
     greeting_s: Positive = 10.0
     grasping_s: Positive = 15.0
     arming_s: Positive = 3.0
     stopping_s: Positive = 1.5
     deciding_s: Positive = 4.0
-    closing_s: Positive = 5.0
+    closing_s: Positive = 30.0
     motion_s: Positive = 3.0
 
 

@@ -14,7 +14,7 @@ from service.contract.frames import first_error
 from service.contract.replies import MEANT, descended_n
 from service.contract.wire import Finished
 from service.contract.wire_parts import errors_left
-from service.recordings.names import NAME, newest_name
+from service.recordings.names import NAME
 from service.recordings.recovery import is_being_written
 from service.recordings.writer import FINAL, UNREADABLE
 
@@ -39,7 +39,6 @@ class Summary(BaseModel):
 
     Of its last reference: ``markers_share`` that the worse finger showed, ``brightness_grey`` of both pictures. And
     ``gel_distance`` of the gel that is less like the one that was calibrated, when the open gels were learnt.
-    ``held_over``: see `OpenGels`.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -49,7 +48,6 @@ class Summary(BaseModel):
     cause: str | None = None
     object: str | None = None
     continues: str | None = None
-    held_over: str = ""
     seconds: float | None = None
     decisions: list[Decided] = []
     doubts: list[dict[str, Any]] = []
@@ -104,19 +102,6 @@ def list_recordings(root: Path, most_n: int | None = None) -> tuple[list[dict[st
     """Finished insertions, newest first (the ``most_n`` newest), and the problems with the others."""
     problems: list[str] = []
     return list(islice(each_recording(root, problems), most_n)), problems
-
-
-def held_over(root: Path) -> str | None:
-    """What the last insertion holds over to the next one, see `OpenGels`; None where that is not known.
-
-    One that broke off, that was removed, or of which nothing can be read, may have ended in the middle of a press.
-    """
-    listed, problems = list_recordings(root, most_n=1)
-    if problems or (listed and listed[0]["outcome"] == "interrupted"):
-        return None
-    if (last := newest_name(root)) and not (listed and listed[0]["name"] == last):
-        return None
-    return str(listed[0]["held_over"]) if listed else ""
 
 
 def endings(root: Path, most_n: int) -> list[Finished]:

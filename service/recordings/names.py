@@ -19,8 +19,3 @@ def name_after(root: Path, insertion_id: str, started: datetime) -> str:
             after = datetime.strptime(newest.ljust(len(stamp), "0"), _STAMP) + timedelta(microseconds=1)  # noqa: DTZ007
             stamp = after.strftime(_STAMP)
     return f"{stamp}_{insertion_id}"
-
-
-def newest_name(root: Path) -> str:
-    """The name of the newest recording in ``root``, "" if there is none."""
-    return max((folder.name for folder in root.iterdir() if NAME.fullmatch(folder.name)), default="")

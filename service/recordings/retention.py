@@ -45,9 +45,9 @@ def make_room(root: Path, max_bytes: int) -> str:
 def prune(root: Path, max_bytes: int) -> list[Path]:
     """Remove the oldest insertions until the rest fits into ``max_bytes``; the newest always stays. Returns them.
 
-    Those of which a full disk took nothing go, too: but the newest, as it shows that the one before was not the last.
-    Folders that are not named like a recording are neither removed nor counted. Raises OSError at the end if one of
-    another user, say, has stayed: the limit is not kept then.
+    Those of which a full disk took nothing go, too: but the newest, which may be under way. Folders that are not named
+    like a recording are neither removed nor counted. Raises OSError at the end if one of another user, say, has stayed:
+    the limit is not kept then.
     """
     entries = root.iterdir() if root.is_dir() else ()
     folders = sorted(path for path in entries if NAME.fullmatch(path.name) and path.is_dir())

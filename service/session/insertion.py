@@ -104,15 +104,13 @@ class Insertion:
         seconds = round((now_ns() - self.opened_ns) / 1e9, 2)
         lost_n = self.telemetry_lost_n
         task |= {"continues": self.continues} if self.continues else {}
-        task |= {"held_over": self.held_over} if self.held_over else {}
         task |= {"seconds": seconds, "decisions": self._decisions, "robot_samples_lost_n": lost_n}
         return task | gels_of((self.session.left, self.session.right), self.session.attempt)
 
     @property
     def held_over(self) -> str:
-        """What it holds over to the next insertion once it has ended, see `OpenGels`."""
-        ended = self.session.finished
-        return self.session.open_gels.after(ended, self.session.attempt) if ended else ""
+        """What it holds over to the next insertion, see `OpenGels`."""
+        return self.session.open_gels.after(self.session.attempt)
 
     def prime(self, frame: CameraFrame) -> None:
         """Show the trackers a first frame."""

@@ -8,6 +8,8 @@ from service.decision.attempt import Attempt
 from service.decision.held_tilt import UNSEEN
 from service.perception.observation import FingerWatch
 
+STARTED = "the service was started anew, and has not seen the hand open"
+
 
 @dataclass(slots=True)
 class OpenGels:
@@ -32,10 +34,11 @@ class OpenGels:
         opened, self._opened = self._opened, False
         return opened
 
-    def after(self, finished: wire.Finished, attempt: Attempt | None) -> str:
-        """What an ended insertion holds over to the next one; ``attempt`` is its last."""
-        if finished.outcome == "inserted" or finished.cause == "part_lost":
-            return ""
+    def after(self, attempt: Attempt | None) -> str:
+        """What an ended insertion holds over to the next one; ``attempt`` is its last.
+
+        However it ended: a confirmed object may stay in the hand, as may one that the gripper says it has lost.
+        """
         if attempt is None:
             return self.unknown
         # one that is armed again has not gone down yet, but before: its tilt knows

@@ -32,6 +32,7 @@ from service.recordings.writer import CONFIGURATION, Recorder
 from service.session.decider import Decider
 from service.session.factory import make_session
 from service.session.insertion import Insertion, Send
+from service.session.learn_open import STARTED
 from service.session.memory import give_back
 from service.session.state_machine import InsertionSession, ignore
 from service.settings import Settings
@@ -66,7 +67,7 @@ class InsertionManager:
     unrecorded_n: int = 0
     frames_unrecorded_n: int = 0
     _unrecorded: str = ""
-    held_over: str = ""  # see `OpenGels`
+    held_over: str = STARTED  # see `OpenGels`
     _decided: Decider | None = None  # of the last insertion: the next one may continue with its object
     _tried_n: int = 0  # attempts with that object so far
     ended: OrderedDict[str, wire.Finished] = field(default_factory=OrderedDict)
@@ -116,9 +117,7 @@ class InsertionManager:
         active = self.active
         if active and active.session.insertion_id != hello.insertion_id:
             if active.send is not None:
-                detail = (
-                    f"insertion {active.session.insertion_id} is under way; wait for it, or connect with role watch"
-                )
+                detail = f"insertion {active.session.insertion_id} is under way; wait, or connect with role watch"
                 send(wire.Fault(insertion_id=hello.insertion_id, code="busy", detail=detail, fatal=True))
                 return
             self.abort("link", "another client takes over after a lost connection")

@@ -19,12 +19,11 @@ from typing import IO, Any
 from service.cameras.capture import Camera, CameraError, CameraFrame, Pairer, now_ns
 from service.cameras.sources import PushSource, open_source
 from service.contract import FINGERS, ContractError, Finger, FramePair, wire
-from service.decision.held_tilt import UNSEEN
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from service.observability.hub import Hub
 from service.perception.rectification import Calibration
-from service.recordings.listing import endings, held_over
+from service.recordings.listing import endings
 from service.recordings.recovery import own, recover
 from service.session.factory import make_session
 from service.session.insertion import Insertion, Send
@@ -292,8 +291,6 @@ def open_station(settings: Settings) -> Station:
     recover(settings.recordings)
     station = Station(settings, models, calibration)
     station.owned = owned
-    left = held_over(settings.recordings)
-    station.manager.held_over = UNSEEN if left is None else left
     station.manager.ended.update((one.insertion_id, one) for one in endings(settings.recordings, REMEMBERED_N))
     if settings.shadow:
         station.versions.give(settings.shadow, at_start=True)

@@ -129,7 +129,7 @@ class SteppedCell:
         self.show(0)
         url = self.service.url("/v1/insertions/ws", "ws")
         with connect(url, additional_headers=self.service.bearer, compression=None) as link:
-            link.send(wire.ClientHello(insertion_id=name, client="bench").model_dump_json())
+            link.send(wire.ClientHello(insertion_id=name, client="bench", purpose="probe").model_dump_json())
             self._until(link, "hello")
             arm = wire.Arm(insertion_id=name, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
             link.send(arm.model_dump_json())

@@ -106,7 +106,7 @@ def age_at_twice_the_load(station: Station) -> dict[str, Any]:
     def send(message: Any) -> None:
         del message
 
-    station.connect(wire.ClientHello(insertion_id="over", client="bench"), send)
+    station.connect(wire.ClientHello(insertion_id="over", client="bench", purpose="probe"), send)
     arm = wire.Arm(insertion_id="over", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
     station.receive(arm, send)
     deadline = time.monotonic() + 30

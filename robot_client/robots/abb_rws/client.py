@@ -116,17 +116,25 @@ class RwsClient:
         await self._until("ctrlexecstate", "running", self.settings.start_timeout_s, "; look at the pendant")
 
     async def stop_program(self) -> str:
-        """Request a stop and poll until the controller reports it; never raises, returns in words how it ended."""
+        """Request a stop and poll until the controller reports it; never raises, returns in words how it ended.
+
+        A controller may refuse the request, as of a program that has stopped by itself: its state counts all the same.
+        """
         deadline_s = time.monotonic() + self.settings.stop_timeout_s
         asked, last = False, "no answer"
         while time.monotonic() < deadline_s:
+            refused = ""
             try:
                 if not asked:
                     await self._order("stop", {"stopmode": "stop"})
                     asked = True
+            except RwsError as error:
+                refused = str(error)
+            try:
                 last = await self.execution()
                 if last == "stopped":
                     return f"controller confirms: program stopped{await self._why_without_motors()}"
+                last = refused or last
             except RwsError as error:
                 last, asked = str(error), False
             await asyncio.sleep(self.settings.poll_s)

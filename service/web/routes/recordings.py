@@ -10,7 +10,7 @@ from pydantic_core import to_json
 
 from service.contract import wire
 from service.recordings.listing import Summary, each_recording
-from service.recordings.names import NAME, newest_name
+from service.recordings.names import NAME
 from service.recordings.writer import FINAL
 from service.session.station import Station
 from service.web.access import Access
@@ -84,10 +84,7 @@ def router(station: Station, access: Access, reading: Reading) -> APIRouter:
     def remove(name: str) -> dict[str, str]:
         folder = recording_folder(root, name)
         try:
-            last = newest_name(root)
             shutil.rmtree(folder)
-            if name == last:  # an empty folder shows that the one before was not the last, until the next is made
-                folder.mkdir()
         except OSError as error:  # read only, or two remove it at once
             raise HTTPException(409, f"recording {name} cannot be removed: {error.strerror}") from None
         return {"removed": name}

@@ -1,6 +1,7 @@
 """`doctor` against emulated devices: each fault is named in its place, with its own remedy."""
 
 import asyncio
+import contextlib
 import os
 import re
 import socket
@@ -12,6 +13,7 @@ from urllib.parse import urlsplit
 import pytest
 from rich.console import Console
 
+from robot_client.cli.alone import alone
 from robot_client.cli.doctor import WIDTH, Row, doctor, examine, examine_pc, grid
 from robot_client.cli.remedies import GENERAL, remedy_of
 from robot_client.insertion.geometry import WorkPose
@@ -59,6 +61,11 @@ def taken_port(cell):
     cell.taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     cell.taken.bind(("127.0.0.1", 0))
     with_(cell, robot={"port": cell.taken.getsockname()[1]})
+
+
+def another_client(cell):
+    cell.taken = contextlib.ExitStack()
+    cell.taken.enter_context(alone(cell.settings))
 
 
 def cycle(cell, pick_z_mm=45.0, plc=None):
@@ -121,6 +128,7 @@ FAULTS = {
     ),
     "plc signal missing": (lambda cell: cycle(cell, plc=HandshakeSettings()), "controller", "Define the signal"),
     "guidance port taken": (taken_port, "network", "UCdevice"),
+    "another client is at work": (another_client, "gripper", "once that command has ended"),
     "gripper not homed": (board(gripper={"not_homed": True}), "gripper", "home --live"),
     "gripper too warm": (board(gripper={"temperature_warning": True}), "gripper", "cool"),
     "gripper fast stop": (lambda cell: cell.gripper.fast_stop(), "gripper", "--acknowledge"),
@@ -189,6 +197,13 @@ def test_a_healthy_cell_has_nothing_wrong(examined):
     rows = outcome(examined, "healthy")
     assert [row for row in rows if not row.good] == []
     assert {row.area for row in rows} >= {"limits", "controller", "network", "gripper", "service"}
+
+
+def test_devices_that_another_client_uses_are_left_to_it(examined):
+    """A gripper takes one client: between two steps of a cycle, a second one would end it."""
+    rows = outcome(examined, "another client is at work")
+    assert not {row.area for row in rows if row.good} & {"controller", "network", "gripper"}
+    assert {row.area for row in rows if row.good} >= {"limits", "service"}
 
 
 @pytest.mark.parametrize("name", FAULTS)

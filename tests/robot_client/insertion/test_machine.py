@@ -120,7 +120,7 @@ def test_a_pose_off_the_descent_is_no_depth_that_anybody_is_told(stands):
         service(wire.Finished(insertion_id=ID, outcome="failed", attempts=1)),
         Failure(at_s=0.0, source="service", code="link", detail="connection lost"),
         Failure(at_s=0.0, source="service", code="silent", detail="no message"),
-        Tick(at_s=5.1),
+        Tick(at_s=30.1),
     ],
     ids=["not confirmed", "failed", "link lost", "silent", "no answer"],
 )

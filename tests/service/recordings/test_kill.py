@@ -20,7 +20,7 @@ def test_a_killed_service_has_kept_the_insertion_and_makes_it_whole_at_the_next_
     tmp_path: Path, models_folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with apart(tmp_path, models_folder) as live:
-        driver = greeted(live, "killed")
+        driver = greeted(live, "killed", purpose="probe")
         decided = driver.attempt(1)
         driver.arms(2)
         told_ns = tell(driver, seconds=3.0)

@@ -21,7 +21,6 @@ from websockets.sync.client import connect
 
 from service import __main__ as entry
 from service.contract import FINGERS, TactileFrame, encode_frame, wire
-from service.recordings.listing import held_over
 from service.recordings.reader import Recording
 from service.recordings.retention import make_room
 from service.recordings.writer import FINAL, Recorder
@@ -83,20 +82,6 @@ def test_a_recording_that_was_broken_off_is_named(own: LiveService) -> None:
     folder = inserted(own, "broken-off")
     (folder / "summary.json").unlink()
     assert listed(own)[1] == [f"{folder.name}: broken off; the next start of the service recovers what can be read"]
-
-
-def test_an_insertion_that_was_removed_passes_on_that_nobody_knows_how_the_object_hangs(own: LiveService) -> None:
-    """Else whoever clears the list after a failure and starts the service again holds a turned object unknown."""
-    for name in ("before", "last"):
-        Recorder(own.recordings, name, {}).close({"outcome": "inserted", "attempts": 1})
-    assert held_over(own.recordings) == ""
-    (last,) = own.recordings.glob("*_last")
-    assert httpx.delete(own.url(f"/v1/recordings/{last.name}"), headers=own.bearer).status_code == 200
-    assert httpx.get(own.url(f"/v1/recordings/{last.name}")).status_code == 404
-    assert (listed(own), held_over(own.recordings)) == ((["before"], []), None)
-    Recorder(own.recordings, "next", {}).close({"outcome": "inserted", "attempts": 1})
-    make_room(own.recordings, 1 << 30)
-    assert (listed(own)[0], held_over(own.recordings), last.exists()) == (["next", "before"], "", False)
 
 
 def test_a_recording_that_is_being_written_is_no_problem(own: LiveService) -> None:

@@ -1,6 +1,5 @@
 """Open gels are learnt between attempts, from the first frames that show them."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from service.contract import wire
 from service.decision.held_tilt import HeldTilt
 from service.session.state_machine import InsertionSession
 from tests.service.client import greeted
-from tests.service.conftest import live_service
+from tests.service.conftest import LiveService, live_service
 from tests.service.decision.test_claim import PERIOD_NS
 from tests.service.session.at_rest import ID, S, arm, at_rest, descends, is_out_of_order, shows, stops
 from tests.service.session.driving import wait_for_recorders
@@ -85,8 +84,7 @@ def test_an_attempt_that_only_armed_leaves_what_the_ones_before_it_pressed(
     arm(session)
     assert session.attempt is not None
     session.attempt.arm = session.attempt.arm.model_copy(update={"attempt": attempt})
-    gave_up = wire.Finished(insertion_id=ID, outcome="failed", attempts=attempt, cause="service")
-    assert bool(session.open_gels.after(gave_up, session.attempt)) == pressed
+    assert bool(session.open_gels.after(session.attempt)) == pressed
 
 
 @pytest.mark.parametrize("forget", [False, True])
@@ -121,43 +119,38 @@ def test_an_attempt_that_went_down_and_is_armed_again_leaves_what_it_pressed(ses
     descends(session)
     arm(session, at_ns=S)
     assert [answer.type for answer in shows(session, 0, S)] == ["refused"]
-    (refused,) = session.handle(wire.Abort(insertion_id=ID, cause="refused", reason="turned in the hand"), S)
-    assert session.open_gels.after(refused, session.attempt)
+    session.handle(wire.Abort(insertion_id=ID, cause="refused", reason="turned in the hand"), S)
+    assert session.open_gels.after(session.attempt)
 
 
-@pytest.mark.parametrize(("outcome", "cause"), [("inserted", None), ("failed", "part_lost")])
-def test_a_hand_that_let_go_of_its_object_holds_nothing_over(
-    session: InsertionSession, outcome: wire.Ending, cause: wire.Cause | None
+@pytest.mark.parametrize(
+    ("before", "detail"),
+    [("", "started anew"), ("pressed", "do not show"), ("inserted", "do not show"), ("restarted", "started anew")],
+)
+def test_a_service_knows_how_an_object_hangs_only_if_it_has_seen_the_hand_open(
+    tmp_path: Path, models_folder: Path, before: str, detail: str
 ) -> None:
-    arm(session)
-    assert session.attempt is not None
-    session.attempt.descending_ns = 0
-    finished = wire.Finished(insertion_id=ID, outcome=outcome, attempts=2, cause=cause)
-    assert session.open_gels.after(finished, session.attempt) == ""
-
-
-@pytest.mark.parametrize("summary", ["whole", "recovered", "broken"])
-def test_a_service_that_starts_anew_knows_that_the_hand_was_not_opened(
-    tmp_path: Path, models_folder: Path, summary: str
-) -> None:
+    """A confirmed object may stay in the hand, too; and no recording tells what an earlier service has not recorded."""
     with live_service(tmp_path, models_folder) as live:
-        driver = greeted(live, "pressed")
-        driver.attempt(1)
-        driver.close()
-    wait_for_recorders()
-    (path,) = live.recordings.glob("*_pressed/summary.json")
-    facts = json.loads(path.read_text())
-    assert (facts["outcome"], facts["cause"]) == ("failed", "service")
-    if summary == "recovered":
-        path.write_text(json.dumps({"insertion_id": "pressed", "outcome": "interrupted", "attempts": 1}))
-    elif summary == "broken":
-        path.write_text("")
-    with live_service(tmp_path, models_folder) as live:
-        url = live.url("/v1/insertion", "ws")
-        with connect(url, additional_headers=live.bearer, compression=None) as link:
-            link.send(wire.ClientHello(insertion_id="again", client="test").model_dump_json())
-            arm = wire.Arm(insertion_id="again", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
-            link.send(arm.model_dump_json())
-            answers = [wire.parse_service(link.recv(60)) for _ in range(2)]
+        if before:
+            driver = greeted(live, "before")
+            ended = driver.attempt(1) if before == "pressed" else driver.insert(1)
+            assert ended.type == ("correction" if before == "pressed" else "finished")
+            driver.close()
+            wait_for_recorders()
+        answers = [] if before == "restarted" else arms_at_once(live)
+    if before == "restarted":
+        with live_service(tmp_path, models_folder) as live:
+            answers = arms_at_once(live)
     assert [answer.type for answer in answers] == ["hello", "refused"]
     assert answers[1].reason == "turned_in_hand"
+    assert detail in answers[1].detail
+
+
+def arms_at_once(live: LiveService) -> list[Any]:
+    """The answers to a client that arms with the hand as it is."""
+    with connect(live.url("/v1/insertion", "ws"), additional_headers=live.bearer, compression=None) as link:
+        link.send(wire.ClientHello(insertion_id="again", client="test").model_dump_json())
+        arm = wire.Arm(insertion_id="again", attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+        link.send(arm.model_dump_json())
+        return [wire.parse_service(link.recv(60)) for _ in range(2)]

@@ -45,7 +45,7 @@ class Story:
     def connect(self) -> None:
         url = self.service.url("/v1/insertions/ws", "ws")
         self.link = self.links.enter_context(connect(url, additional_headers=self.service.bearer, **LINK))
-        self.send(wire.ClientHello(insertion_id=self.id, client="soak"))
+        self.send(wire.ClientHello(insertion_id=self.id, client="soak", purpose="probe"))
         self.until({"hello"})
         self.opened = True
 

@@ -75,6 +75,14 @@ def test_a_fit_controller_runs_the_program_which_is_then_ours_to_stop():
     assert start_of({}) == (None, ["resetpp", "start"], True)
 
 
+def test_a_program_that_has_stopped_by_itself_is_confirmed_although_the_controller_refuses_to_stop_it():
+    def answer(request):
+        status = 200 if request.method == "GET" else 403
+        return httpx.Response(status, json={"_embedded": {"_state": [{"ctrlexecstate": "stopped"}]}})
+
+    assert asked(RwsClient.stop_program, answer=answer).startswith("controller confirms: program stopped")
+
+
 @pytest.mark.parametrize("refused_n", [0, 1, 3])
 def test_a_stop_that_was_refused_is_asked_for_again_until_the_controller_reports_it(refused_n):
     state, orders = {"ctrlexecstate": "running"}, []
