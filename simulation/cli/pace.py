@@ -83,7 +83,7 @@ class ChooseOptions:
 
     seconds_a_box: float
     """seconds per box, at most, on average"""
-    success: float = 0.99
+    success: float = 0.9
     """share of boxes inserted, at least"""
     max_force: float = 50.0
     """N, at most, in 95 % of insertions"""

@@ -6,6 +6,7 @@ from robot_client.insertion.lease import FAST_S, PAUSE_S, SLOW_MM, Lease
 from robot_client.insertion.limits import Limits
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Plan
+from robot_client.session.travel import over_to
 from robot_client.settings import Settings, load_settings
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.lockstep import CREEP_ALLOWANCE_MM, LockstepCell, Walk
@@ -16,8 +17,10 @@ PROBING_MM_S = 10.0  # a quicker arm slows down to this, or it would push light 
 SETTLE_S = 0.1  # from the end of a ramp, or of the stop lag, until the client takes the arm as at rest
 
 
-FIXTURE_MM, RETREAT_MM, GRIPPER_S = 300.0, 40.0, 1.0
-"""Path from the gap to the regrasp place, the lift before it, and the time to open or close the fingers of a cell."""
+FIXTURE_MM, RETREAT_MM = 300.0, 40.0
+"""Path from the gap to the regrasp place, and the height above it from which on nothing is in the way."""
+GRIPPER_S, GUIDANCE_S = 1.0, 1.0
+"""Time to open or close the fingers of a cell, and to start the guidance of its arm."""
 
 
 def longest_travel_mm(speed_mm_s: float) -> float:
@@ -92,9 +95,15 @@ def walk_of(plan: Plan, here: WorkPose, move: Move) -> Walk:
 
 
 def trip_s(plan: Plan) -> float:
-    """Time to put an object back into its fixture and return with it, s: up, over, down, and over."""
-    here = plan.approach
-    up = here.at_height(here.z_mm + RETREAT_MM)
-    away = here.model_copy(update={"y_mm": here.y_mm + FIXTURE_MM})
-    over_s, up_s = (plan.ramps.duration_s(here, there, "travel") for there in (away, up))
-    return 2.0 * (up_s + over_s + GRIPPER_S) + 4.0 * SETTLE_S
+    """Time to put an object back into its fixture and to return with it above the approach, s.
+
+    The client's own way: up, over, down and open, then close, up and over, with a start of the guidance each. The
+    fixture is as high as the approach.
+    """
+    gap = plan.approach
+    fixture = gap.model_copy(update={"y_mm": gap.y_mm + FIXTURE_MM})
+    clear_mm = fixture.z_mm + RETREAT_MM
+    lines = [*over_to(fixture, clear_mm, "retract")(gap), *over_to(gap, clear_mm)(fixture)[:-1]]
+    corners = [gap, *(corner for corner, _ in lines)]
+    way_s = sum(plan.ramps.duration_s(here, *line) + SETTLE_S for here, line in zip(corners, lines, strict=False))
+    return way_s + 2.0 * (GRIPPER_S + GUIDANCE_S)

@@ -85,8 +85,7 @@ class Insertion:
         self.until: frozenset[Phase] = frozenset()  # phases that stop the play
         self.before = cell.state  # the unloaded state at the start of the descent
         self._events: deque[Event] = deque()
-        self._standing = False
-        self._skipped_n = 0
+        self._standing, self._skipped_n = False, 0
 
     def begin_again(self, plan: Plan) -> None:
         """Let `run` play another insertion or probe, with the object as it is in the hand."""
@@ -124,9 +123,7 @@ class Insertion:
         )
 
     def _play(self) -> None:
-        if self.client:
-            x, y, z, yaw = self.cell.pose
-            self.cell.travel(x, y, z + ABOVE_MM, yaw, 1.0)
+        self._begin_above()
         self._post(Begin(at_s=self.cell.now_s, pose=self._pose()))
         scene = self.cell.scene
         longer = max(1.0, scene.fps / 30.0) * max(1.0, 10.0 / scene.speed_mm_s)
@@ -141,6 +138,12 @@ class Insertion:
         self.cell.take_afresh(plan.approach.x_mm, plan.approach.y_mm, plan.approach.yaw_deg, took_s)
         self.grasps, self.seconds.spent[AFRESH] = self.grasps + 1, self.seconds.spent[AFRESH] + took_s
 
+    def _begin_above(self) -> None:
+        """A client with settings of its own comes from above its approach."""
+        if self.client:
+            x, y, z, yaw = self.cell.pose
+            self.cell.travel(x, y, z + ABOVE_MM, yaw, 1.0)
+
     def _takes_afresh(self) -> bool:
         """Whether the object is regrasped from its fixture and tried again, as in the client's cycle."""
         plan = self.state.afresh(f"simulated-{self.grasps + 1}")
@@ -148,6 +151,7 @@ class Insertion:
             return False
         self._tried += self.state.tried_n
         self.take_afresh(plan)
+        self._begin_above()
         before = self.session
         self.begin_again(plan)
         self.session.submit, self.session.on_attempt = before.submit, before.on_attempt

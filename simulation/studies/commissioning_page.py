@@ -34,7 +34,9 @@ _MEASURED = """
 ## How it was measured
 
 Every cell is drawn from the ranges of [worlds](worlds.md), and the software is given none of its properties.
-Marker positions are the true ones plus the tracker's error. Intervals are 95 % Wilson ones; those over several
+Marker positions are the true ones [plus the tracker's
+error](decisions/0018-closed-loop-in-lock-step.md#what-true-fields-leave-out). Intervals are 95 % Wilson ones; those
+over several
 worlds are as wide as the worlds differ. A failure counts as 16 trials.
 
 ## Four probes name a wiring mistake

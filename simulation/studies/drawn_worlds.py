@@ -141,7 +141,8 @@ def _how(data: Row) -> str:
 
         {data["worlds"]} worlds are drawn by Latin hypercube from the ranges of [worlds](worlds.md), with
         {data["objects"]} drawn objects. The networks were trained on other draws from the same ranges. All variants run
-        from the same starts. Marker positions are the true ones plus the tracker's error. A failure counts as 16
+        from the same starts. Marker positions are the true ones [plus the tracker's
+        error](decisions/0018-closed-loop-in-lock-step.md#what-true-fields-leave-out). A failure counts as 16
         trials.
 
         The client states gap width and grasp height with the errors of each world, up to {_most("told_gap_error_mm")}

@@ -57,6 +57,7 @@ def play(episode: Episode) -> Row:
             insertion.session.on_attempt = attempts.append
             outcome = insertion.run()
         robot_s = insertion.seconds.total_s + trip_s(plan)
+        attempts = [one for one in attempts if one.arm.insertion_id == insertion.state.plan.insertion_id]
     except PhysicsError as error:  # the object cannot even be held
         outcome = Outcome.never_began(job, f"physics: {error.reason}: {error}", void=True)
     row = {**episode.job, **asdict(outcome), "robot_s": robot_s}
@@ -81,8 +82,9 @@ def _plain(job: Mapping[str, Any]) -> Row:
 
 
 def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row) -> None:
+    """Store the attempts of the last grasp; on a cell, those before it are a recording of their own that failed."""
     episode.folder.mkdir(parents=True, exist_ok=True)
-    for number, attempt in enumerate(attempts, 1):  # those of each grasp are numbered from 1
+    for number, attempt in enumerate(attempts, 1):
         kept = read_by_depth(attempt)
         if "steps" in kept:
             np.savez(episode.folder / f"attempt_{number:02d}.npz", **kept)  # type: ignore[arg-type]
@@ -93,4 +95,6 @@ def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row) -> 
         "approach": {"x_mm": job.x_mm, "yaw_deg": job.theta_deg},
         "row": row,
     }
+    if row["grasps"] > 1:
+        summary["continues"] = "the grasp before"
     write_durably(episode.folder / "summary.json", (json.dumps(summary) + "\n").encode())

@@ -11,7 +11,7 @@ from robot_client.insertion.state import Phase, Plan
 from robot_client.session.commission.lateness import PLACE, Press, late_s, next_is_fast, slow_and_fast
 from robot_client.session.stops import StopWatch
 from simulation.closed_loop.benchmark import held_in
-from simulation.closed_loop.client import trip_s
+from simulation.closed_loop.client import GUIDANCE_S, trip_s
 from simulation.closed_loop.job import Job, job_in
 from simulation.closed_loop.lockstep import hash_seed
 from simulation.closed_loop.play import Insertion, models_of, stage
@@ -52,7 +52,7 @@ def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
             break
         series.append(Press(fast=fast, stop=watch.stop, afresh=afresh))
     known_s = None if failed else late_s(series)
-    return row | {"late_s": known_s, "robot_s": insertion.seconds.total_s + trip_s(plans[0])}
+    return row | {"late_s": known_s, "robot_s": insertion.seconds.total_s + trip_s(plans[0]) + GUIDANCE_S * len(series)}
 
 
 def _pressed(insertion: Insertion, plan: Plan) -> StopWatch:

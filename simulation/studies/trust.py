@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from reporting.page import page
-from reporting.statistics import wilson
+from reporting.statistics import Estimate, clustered, wilson
 from reporting.table import table
 from service.contract import FINGERS, Finger
 from simulation.closed_loop.benchmark import held_in
@@ -118,9 +118,19 @@ def report_of(rows: Sequence[Row], late: Sequence[Row], setup: Mapping[str, Any]
         "all": figures(rows),
         "late": list(late),
         "untrue": [{key: row[key] for key in keys} for row in untrue],
+        "refused": list(_refused(groups[WITHOUT])),
         "faults": [{"fault": name, **figures(group)} for name, group in sorted(groups.items())],
         "reasons": [{"reason": reason, "insertions": count} for reason, count in reasons.most_common(20)],
     }
+
+
+def _refused(good: Sequence[Row]) -> Estimate:
+    """Share of the insertions in the gap that were not claimed; its interval is as wide as the worlds differ."""
+    worlds: dict[str, list[bool]] = defaultdict(list)
+    for row in good:
+        if row["in_gap"]:
+            worlds[row["condition"].rpartition(": ")[0]].append(not row["claimed"])
+    return clustered([sum(each) for each in worlds.values()], [len(each) for each in worlds.values()])
 
 
 def _wrong(row: Row) -> str:
@@ -136,7 +146,7 @@ def trust_page(data: Row) -> str:
     wrong, insertions, claims = every["claimed_wrongly"], every["insertions"], every["claimed"]
     good = by_fault.get(WITHOUT, figures([]))
     truths = good["inserted"] + good["good_refused"]
-    refused = wilson(good["good_refused"], truths)
+    refused = Estimate(*data["refused"])
     return page(
         f"""
         # What a claim is worth, simulated
@@ -145,7 +155,7 @@ def trust_page(data: Row) -> str:
         of {insertions} insertions. The upper end of the 95 % Wilson interval is the largest rate left possible.
 
         Without a fault, {truths} insertions ended in the gap, and {good["good_refused"]} of those were not claimed:
-        {refused:.1%}.
+        {refused:.1%}; this interval is as wide as the worlds differ.
 
         After a frame that was judged, the arm descended by at most {every["unseen_mm"]:.2f} mm before the next one was
         judged or it stood, and in the worst case by {every["unseen_share"]:.2f} times what the lease allows at its
@@ -158,7 +168,8 @@ def trust_page(data: Row) -> str:
         Each insertion runs in lock step, with its own draw of a world, an object and a start. In 55 % of them something
         goes wrong as well: a persistent fault, or a commissioning mistake such as swapped cameras. The service, its
         networks, the controller and the client's state machine are those that ship. Marker positions are the true ones
-        plus the tracker's error. An insertion is void where the simulated physics found no solution; it counts neither
+        [plus the tracker's error](decisions/0018-closed-loop-in-lock-step.md#what-true-fields-leave-out). An insertion
+        is void where the simulated physics found no solution; it counts neither
         as claimed nor as refused.
         """,
         _late(data["late"]),

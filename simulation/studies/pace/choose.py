@@ -9,7 +9,10 @@ from simulation.scene.drawn import toml
 
 
 class Wanted(NamedTuple):
-    """A cell's needs: seconds per box at most, share of boxes inserted at least, force at most (95 %)."""
+    """A cell's needs: seconds per box at most, share of boxes inserted at least, force at most (95 %).
+
+    A need is met if the results leave no doubt of it: by the end of the 95 % interval that is against it.
+    """
 
     seconds_a_box: float
     success: float
@@ -18,9 +21,9 @@ class Wanted(NamedTuple):
     def short(self, point: Row, count: int) -> float:
         """Shortfall of a choice, relative to the needs."""
         shares = (
-            point["seconds_a_box"][0] / self.seconds_a_box - 1.0,
-            (self.success - point["inserted"] / count) / max(1.0 - self.success, 0.01),
-            point["force_n"]["95"] / self.force_n - 1.0,
+            Estimate(*point["seconds_a_box"]).high / self.seconds_a_box - 1.0,
+            (self.success - wilson(point["inserted"], count).low) / max(1.0 - self.success, 0.01),
+            Estimate(*point["force_95_n"]).high / self.force_n - 1.0,
         )
         return float(sum(max(0.0, share) for share in shares))
 
@@ -40,7 +43,7 @@ def choose(data: Row, wanted: Wanted) -> tuple[Row, bool]:
 def summary(point: Row, count: int, wanted: Wanted, *, kept: bool) -> str:
     """The choice and its results, simulated."""
     asked = f"{wanted.seconds_a_box:g} s a box, {wanted.success:.1%} inserted, {wanted.force_n:g} N"
-    answer = "meets" if kept else "the NEAREST; no measured choice meets"
+    answer = "meets" if kept else f"the NEAREST; {count} insertions show no choice to meet"
     return (
         f"{point['name']}: {answer} {asked}\n"
         f"  simulated, {count} insertions: {Estimate(*point['seconds_a_box']):.2f} s a box,"
@@ -53,8 +56,9 @@ def summary(point: Row, count: int, wanted: Wanted, *, kept: bool) -> str:
 
 def settings_toml(point: Row, count: int) -> str:
     """The client's tables as a file, with the evidence for them."""
+    seconds, share = Estimate(*point["seconds_a_box"]), wilson(point["inserted"], count)
     comment = (
-        f"{point['name']}: {point['seconds_a_box'][0]:.2f} s a box in {count} simulated insertions.",
+        f"{point['name']}: {seconds:.2f} s a box, {share:.1%} inserted, in {count} simulated insertions.",
         "Where the cameras or the arm do not bear its fast legs, the descent probes all the way.",
     )
     return toml(flat(point["client"]), "\n# ".join(comment))

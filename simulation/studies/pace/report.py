@@ -22,7 +22,9 @@ WANTED = 1.8  # times fewer seconds a box than before
 BESIDES = """
 ## Beside a live insertion
 
-Lock step leaves out the latency of camera, network and perception. The rectangle, inserted live in the simulated cell,
+Lock step plays the lateness of camera and arm, but [not the time of
+perception](decisions/0018-closed-loop-in-lock-step.md#what-true-fields-leave-out). The rectangle, inserted live in the
+simulated cell,
 on two cores with seven busy programs:
 
 | settings | cameras | inserted | pauses of the lease | one start (4.8 mm, 4.4 deg) |

@@ -33,7 +33,9 @@ def foreign_world_page(data: Row) -> str:
           least 5 mm beyond them. *Stiff and slippery*: it slides after 0.15 to 0.4 marker pitches.
         - **Everything else**, objects included, is drawn from the ranges of [worlds](worlds.md). Poisson's ratio is
           that of rubber, 0.45 to 0.495. No gel relaxes and no finger bends.
-        - **Scoring.** Marker positions are the true ones plus the tracker's error. The shear reach was not given to the
+        - **Scoring.** Marker positions are the true ones [plus the tracker's
+          error](decisions/0018-closed-loop-in-lock-step.md#what-true-fields-leave-out). The shear reach was not given
+          to the
           networks. A failure counts as 16 trials. The interval of what the release inserted in the elements is as wide
           as the worlds differ: each has up to {EACH} insertions.
         {_baselines(data)}

@@ -31,7 +31,7 @@ def test_an_object_that_turns_in_the_hand_is_regrasped_and_pressed_on_as_on_a_ce
     turning = drawn_worlds_of(200, 109, 0.1)[117]
     row = timed(turning, "rectangle", 5, released_models())
     assert 0.0 <= row["late_s"] - row["true_late_s"] < 0.06
-    assert 30.0 < row["robot_s"] < 60.0, "with a second way to the fixture"
+    assert 45.0 < row["robot_s"] < 80.0, "with a second way to the fixture"
 
 
 def test_each_world_is_timed_and_errors_are_counted_where_it_was_measured():
