@@ -1,5 +1,9 @@
 """Probes in lock step that are stored as a cell's are."""
 
+import json
+
+import pytest
+
 from service.contract.shipped import released_models
 from simulation.closed_loop.job import job_in
 from simulation.scene import drawn
@@ -43,3 +47,22 @@ def test_a_probe_in_which_the_arm_paused_is_repeated_in_a_new_grasp_and_only_tha
     assert row["trials"][0]["decision"]["reason"] != "stale"
     assert row["robot_s"] > 25.0, "twice to the fixture"
     assert [path.name for path in tmp_path.glob("probe/*.npz")] == ["attempt_01.npz"]
+
+
+@pytest.mark.parametrize(("index", "start", "kept_n"), [(2, (7.0, 4.0), 1), (3, (6.0, 2.0), 0)])
+def test_an_insertion_with_regrasps_teaches_what_its_last_grasp_shows_as_on_a_cell(tmp_path, index, start, kept_n):
+    """On a cell the grasps before it are recordings of their own that failed, and their errors are not known."""
+    tables = drawn.draw_worlds(12, 105)[4]
+    tables["gel"]["tier"] = "bristle"
+    world = drawn.world(tables, "soft gel")
+    given = with_care(client(straightens=False), world, "rectangle")
+    row = play(
+        Episode(
+            tmp_path / "work", released_models(), job_in(world, "rectangle", index, start, 50 + index, client=given)
+        )
+    )
+    assert row["inserted"]
+    assert row["grasps"] > 1
+    assert len(row["trials"]) > kept_n
+    assert len([*tmp_path.glob("work/*.npz")]) == kept_n
+    assert json.loads((tmp_path / "work" / "summary.json").read_text())["continues"]
