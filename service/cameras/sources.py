@@ -1,5 +1,6 @@
 """Cameras by their URL: MJPEG over HTTP, V4L2, a recording, frames pushed by a client."""
 
+import base64
 import http.client
 import os
 import queue
@@ -9,7 +10,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, unquote, urlsplit
 
 import cv2
 import numpy as np
@@ -52,7 +53,8 @@ class MjpegSource:
         connection = http.client.HTTPConnection(host, port, timeout=CONNECT_TIMEOUT_S)
         try:
             path = self._parts.path or "/"
-            connection.request("GET", f"{path}?{self._parts.query}" if self._parts.query else path)
+            path = f"{path}?{self._parts.query}" if self._parts.query else path
+            connection.request("GET", path, headers=_authorization(self._parts))
             sock = connection.sock  # the response of a stream without a length takes it from the connection
             response = connection.getresponse()
             kind = response.headers.get_content_type()
@@ -128,6 +130,14 @@ class _Stream:
         waiting = select.poll()  # select itself takes no descriptor beyond 1023
         waiting.register(self._sock, select.POLLIN)
         return bool(waiting.poll(0))
+
+
+def _authorization(url: SplitResult) -> dict[str, str]:
+    """The header for the user and the password of an address, if it has them (HTTP's basic authentication)."""
+    if url.username is None:
+        return {}
+    who = f"{unquote(url.username)}:{unquote(url.password or '')}".encode()
+    return {"Authorization": f"Basic {base64.b64encode(who).decode()}"}
 
 
 def _delimiter(boundary: str) -> re.Pattern[bytes]:

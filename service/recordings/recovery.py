@@ -57,7 +57,7 @@ def recover(root: Path) -> list[Path]:
 def is_being_written(folder: Path) -> bool:
     """Whether a live recorder writes into this folder."""
     try:
-        with (folder / PART).open("rb") as stream:
+        with (folder / PART).open("r+b") as stream:  # an NFS share locks only what is open for writing
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
@@ -69,7 +69,7 @@ def is_being_written(folder: Path) -> bool:
 def _closed(part: Path) -> bool:
     """Whether the part was completed; if that is impossible now (a full disk), it is left for the next start."""
     try:
-        with part.open("rb") as stream:
+        with part.open("r+b") as stream:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return _close(part, stream)
     except BlockingIOError:  # it has its writer

@@ -95,7 +95,7 @@ class Station:
                 if camera.shape and (fault := self._size_fault(finger, camera.shape)):
                     raise CameraError(fault)
             if now_ns() > deadline:
-                return
+                break
             threading.Event().wait(0.02)
         frames = [camera.latest.frame for camera in self.cameras.values() if camera.latest]
         warm_up(make_session(self.models, self.manager.calibration), frames)

@@ -156,7 +156,7 @@ class Versions:
                 raise
             log.warning("no shadow", folder=str(folder), why=str(error))
             if "shadow" not in self._now.wiring.beside:
-                self.problem = str(error)
+                self.problem = f"no shadow: {error}"
 
     def _give(self, folder: Path, *, again: bool) -> None:
         models = load_models(folder)

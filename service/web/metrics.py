@@ -14,6 +14,7 @@ from service.contract.replies import ending
 from service.observability.charts import CAUSES, SIDES
 from service.perception.observation import Observation
 from service.session.station import Station
+from service.web.page.disk import Disk
 from service.web.page.sentences import CHANGES
 
 _STAGE_BUCKETS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.033, 0.066, 0.13, 0.25, 0.5, 1, 2)
@@ -66,7 +67,8 @@ class Metrics:
         unpaired.set_function(lambda: station.pairer.dropped_n)
         caught.labels("perception").set_function(lambda: station.counters.perception_errors_n)
         caught.labels("listener").set_function(lambda: station.hub.errors_n)
-        recording.set_function(lambda: float(not station.manager.unrecorded))
+        disk = Disk(lambda: station.manager.unrecorded)
+        recording.set_function(lambda: float(not disk.problem()))
         unrecorded.set_function(lambda: station.manager.unrecorded_n)
         left_out.set_function(lambda: station.manager.frames_unrecorded_n)
         ready.set_function(lambda: float(station.ready))
@@ -74,6 +76,9 @@ class Metrics:
         self._text, self._made_ns, self._making = b"", -_NEWEST_NS, asyncio.Lock()
         self._begin_series()
         station.hub.subscribe(self._on_event)
+        for finger, camera in station.cameras.items():  # what was lost while the service waited for its cameras
+            if camera.state == "lost":
+                self._faults.labels(finger, "camera_lost").inc()
 
     def _begin_series(self) -> None:
         """Series that alerts read begin at 0: a worn gel gives no correction, and nothing is divided by no series."""

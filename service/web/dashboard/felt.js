@@ -9,6 +9,7 @@ export function drawFelt(canvas, caption, content) {
   const image = new Image();
   image.onload = () => {
     const pen = canvas.getContext("2d");
+    canvas.height = Math.round((canvas.width * content.height) / content.width);
     const scale = canvas.width / content.width;
     pen.drawImage(image, 0, 0, canvas.width, canvas.height);
     pen.fillStyle = "rgb(10 16 22 / .5)";

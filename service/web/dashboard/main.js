@@ -104,8 +104,8 @@ function showHealth(health) {
   if (growing(health.frames_dropped_n)) items.push(["bad", `dropped ${health.frames_dropped_n}`]);
   items.push(health.recording ? ["bad", "not recorded"] : ["good", "recording"]);
   items.push(...health.versions.map((words, i) => [i ? "off" : "good", words]));
-  if (health.versions_problem) items.push(["bad", "no shadow", health.versions_problem]);
-  at("health").replaceChildren(...items.map(([className, textContent, title = ""]) => element("li", { className, textContent, title })));
+  if (health.versions_problem) items.push(["bad", health.versions_problem]);
+  at("health").replaceChildren(...items.map(([className, textContent]) => element("li", { className, textContent })));
 }
 
 // The last picture of a camera that delivers no more is no live one.

@@ -67,6 +67,9 @@ class Status:
                     self.changes_n += 1
 
         hub.subscribe(on_event)
+        for finger, camera in self._station.cameras.items():  # what was lost while the service waited for its cameras
+            if camera.state == "lost":
+                on_event("camera_fault", {"finger": finger, "code": "camera_lost", "detail": camera.last_fault})
 
     def _note_interrupted(self) -> None:
         """Raise an alarm for an insertion interrupted by a crash of the service: its end is unknown.
@@ -193,7 +196,7 @@ class Status:
             now_s, steady_s = time.time(), time.monotonic()
             shown = running and asdict(running) | {
                 "began_s": now_s - (steady_s - running.began_s),
-                "attempts_max": wire.MAX_ATTEMPTS,
+                "attempts_max": max(wire.MAX_ATTEMPTS, running.attempt),
                 "words": PHASES.get(running.phase, running.phase),
             }
             return {
@@ -226,7 +229,9 @@ class Status:
         unseen = f"No picture from the {' and the '.join(bad)} camera" if bad else ""
         if self._running is not None:
             running = self._running
-            counted = f"Attempt {running.attempt} of {wire.MAX_ATTEMPTS}: " if running.attempt else ""
+            counted = (
+                f"Attempt {running.attempt} of {max(wire.MAX_ATTEMPTS, running.attempt)}: " if running.attempt else ""
+            )
             if running.afresh_n and running.attempt == running.earlier_n:
                 counted = "Regrasped: "
             words = PHASES.get(running.phase, running.phase)

@@ -9,6 +9,7 @@ from service.contract import Finger
 from service.contract.frames import Contract
 from service.session.station import Station
 from service.web.metrics import Metrics
+from service.web.page.disk import Disk
 
 
 class Readiness(Contract):
@@ -22,7 +23,7 @@ class Readiness(Contract):
 
 def router(station: Station, metrics: Metrics) -> APIRouter:
     """Routes ``/healthz`` (the loop runs), ``/readyz`` (cameras live, recordings kept), ``/metrics`` (Prometheus)."""
-    routes, asking = APIRouter(tags=["health"]), asyncio.Lock()
+    routes, disk = APIRouter(tags=["health"]), Disk(lambda: station.manager.recording_problem)
 
     @routes.get("/healthz")
     async def healthz() -> dict[str, str]:
@@ -36,8 +37,7 @@ def router(station: Station, metrics: Metrics) -> APIRouter:
     async def readyz() -> JSONResponse:
         cameras = {finger: camera.state for finger, camera in station.cameras.items()}
         faults = {f: camera.last_fault for f, camera in station.cameras.items() if camera.state != "live"}
-        async with asking:  # a disk that hangs keeps one thread, and never the messages to the robot
-            problem = await asyncio.to_thread(lambda: station.manager.recording_problem)
+        problem = await asyncio.to_thread(disk.problem)
         ready = station.ready and not problem
         content = {"ready": ready, "cameras": cameras, "faults": faults, "recording": problem or "ok"}
         return JSONResponse(content, 200 if ready else 503)

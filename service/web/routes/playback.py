@@ -48,10 +48,10 @@ def router(station: Station, access: Access, reading: Reading) -> APIRouter:
         They must be loaded: active, beside, or released; otherwise ``same`` is null and the answer names them. 422 if
         the recording fills more than 320 MB.
         """
-        path = file_of(name)
         if station.active is not None or deciding.locked():
             raise HTTPException(409, "busy: an insertion is under way, or another one is being decided again")
         async with deciding:
+            path = await asyncio.to_thread(file_of, name)  # a share may take seconds to answer
             need = await asyncio.to_thread(needed, path)
             if need.bytes_n > MOST_AGAIN_BYTES:
                 raise HTTPException(422, _too_large(need.bytes_n))

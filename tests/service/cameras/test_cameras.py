@@ -1,3 +1,4 @@
+import base64
 import itertools
 import threading
 import time
@@ -97,6 +98,18 @@ def test_a_stream_without_the_end_of_a_header_is_a_fault_and_no_memory_leak() ->
     source = MjpegSource("http://127.0.0.1:9/")
     with pytest.raises(CameraError, match="without the end of a part's header"):
         next(source._parse(_Stream(Endless(), None), b"--frame", threading.Event()))
+
+
+def test_user_and_password_of_an_address_are_sent_and_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[str] = []
+    finger = FakeFinger("left", 30)
+    served = finger.serve
+    monkeypatch.setattr(finger, "serve", lambda one: (heard.append(one.headers["Authorization"]), served(one)))
+    source = MjpegSource(finger.url.replace("//", "//operator:p%40ss@"))
+    next(source.frames(threading.Event()))
+    finger.close()
+    assert heard == [f"Basic {base64.b64encode(b'operator:p@ss').decode()}"]
+    assert "p%40ss" not in source.name
 
 
 def test_a_changed_size_is_a_fault() -> None:

@@ -1,4 +1,5 @@
 import errno
+import fcntl
 import json
 import os
 import signal
@@ -8,6 +9,7 @@ import textwrap
 import threading
 import tracemalloc
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +22,7 @@ from service.cameras.capture import CameraFrame
 from service.contract import TactileFrame, wire
 from service.recordings.listing import list_recordings
 from service.recordings.reader import Recording, RecordingError
-from service.recordings.recovery import recover
+from service.recordings.recovery import is_being_written, recover
 from service.recordings.retention import largest_bytes, make_room, prune
 from service.recordings.writer import Recorder
 from tests.service import drawn
@@ -199,6 +201,24 @@ def test_folders_that_are_no_recordings_never_make_room(tmp_path: Path) -> None:
         (tmp_path / name / "content").write_bytes(b"\0" * 1000)
     assert [path.name for path in prune(tmp_path, 1500)] == ["20250101T000000_a"]
     assert sorted(path.name for path in tmp_path.iterdir()) == [".git", "20250101", "20260101T000000_b", "photos"]
+
+
+def test_a_share_that_locks_only_what_is_open_for_writing_has_its_recordings_recovered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As NFS does, see flock(2)."""
+    lock, folder = fcntl.flock, Recorder(tmp_path, "whole", {}).close({"outcome": "inserted", "attempts": 1}).parent
+    (folder / "insertion.mcap").rename(folder / "insertion.mcap.part")
+
+    def flock(stream: Any, how: int) -> None:
+        if not stream.writable():
+            raise OSError(errno.EBADF, "Bad file descriptor")
+        lock(stream, how)
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    with Recorder(tmp_path, "alive", {})._stream:
+        assert [whole.parent for whole in recover(tmp_path)] == [folder]
+        assert is_being_written(next(tmp_path.glob("*_alive")))
 
 
 def test_a_recording_that_cannot_be_recovered_stays_as_it_is_and_stops_nothing(

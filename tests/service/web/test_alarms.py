@@ -1,5 +1,6 @@
 """Alarms: however many come while nobody looks, a person reaches and acknowledges each of them."""
 
+import asyncio
 import json
 import os
 import shutil
@@ -9,12 +10,17 @@ from pathlib import Path
 import httpx
 import pytest
 
+from service.contract import FINGERS
 from service.observability.charts import Charts
+from service.session.station import open_station
+from service.settings import Settings
+from service.web.metrics import Metrics
 from service.web.page.alarms import EARLIER, KEPT_N, Alarms
 from service.web.page.status import SHOWN_ALARMS_N, Status
 from tests.service.client import greeted
 from tests.service.conftest import LiveService, live_service
 from tests.service.web.test_status import status, until
+from tests.waiting import wait_for
 
 
 def lose_a_part(live: LiveService, name: str) -> None:
@@ -47,6 +53,28 @@ def test_the_oldest_of_too_many_unacknowledged_alarms_become_one_that_counts_the
     assert alarms.acknowledge(earlier.number)
     alarms.sound("insertion next", "stop", "Holding: all attempts used")
     assert [alarm.key for alarm in alarms.open][::49] == ["insertion next", "insertion 6"], "only the acknowledged goes"
+
+
+def test_a_camera_that_is_lost_while_the_service_starts_has_an_alarm_with_the_reason_and_counts(
+    tmp_path: Path, models_folder: Path
+) -> None:
+    """As after a power cut: nobody followed the events yet, and a camera that stays lost makes no other."""
+    nobody = {f"camera_{finger}": f"http://127.0.0.1:9/{finger}" for finger in FINGERS}
+    station = open_station(
+        Settings(models=models_folder, recordings=tmp_path / "recordings", state=tmp_path / "state", **nobody)
+    )
+    station.start()
+    try:
+        wait_for(lambda: all(camera.state == "lost" for camera in station.cameras.values()))
+        page, metrics = Status(station), Metrics(station)
+        alarms = page.snapshot()["alarms"]
+        counted = asyncio.run(metrics.exposition())[0].decode()
+    finally:
+        station.stop()
+    assert {alarm["title"] for alarm in alarms} == {"Left camera lost", "Right camera lost"}
+    assert all("refused" in alarm["detail"] for alarm in alarms)
+    for finger in FINGERS:
+        assert f'tactile_camera_faults_total{{code="camera_lost",finger="{finger}"}} 1.0' in counted
 
 
 def test_insertions_that_are_not_recorded_raise_an_alarm_each_time_that_begins_and_only_then(
