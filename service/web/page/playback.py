@@ -20,6 +20,7 @@ from service.web.page.broadcast import kinds, shown
 from service.web.page.sentences import event
 
 PERIOD_NS = 50_000_000  # of the selectable moments
+USUAL_SHAPE = (320, 327, 3)  # of a rectified frame, where no calibration states it
 TOPICS = [*(f"/{finger}/markers" for finger in FINGERS), "/robot", "/messages"]
 UNFELT: dict[str, Any] = {"rest": [], "moved": [], "kinds": [], "pitch": 0.0}
 """The markers of a picture that was not judged."""
@@ -130,11 +131,11 @@ def moment(path: Path, finger: Finger, at_ns: int) -> dict[str, Any]:
                 pixels = pixels_of(topic, data)
     if markers is None and pixels is None:
         raise RecordingError(f"{path.parent.name} has nothing of the {finger} finger at {at_ns}")
-    if pixels is None:
-        pixels = np.zeros((320, 327, 3), np.uint8)  # dropped for lack of space: the markers remain
-    elif calibration:
-        rectify = _rectifier(calibration, finger)
-        pixels = rectify.apply(pixels) if pixels.shape == rectify.camera.raw.shape else pixels
+    rectify = _rectifier(calibration, finger) if calibration else None
+    if pixels is None:  # dropped for lack of space: the markers remain
+        pixels = np.zeros(rectify.camera.rectified.shape if rectify else USUAL_SHAPE, np.uint8)
+    elif rectify and pixels.shape == rectify.camera.raw.shape:
+        pixels = rectify.apply(pixels)
     if markers is None:
         return shown(finger, pixels, "watching", 0.0) | UNFELT
     flags = (np.frombuffer(each, np.uint8) for each in (markers.valid, markers.slipping, markers.sticking))
