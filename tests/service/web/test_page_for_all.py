@@ -24,11 +24,15 @@ FINGER_PX = 40
 LONG_PX = 48
 
 
-def grey(page: Any, kind: int) -> NDArray[np.int16]:
-    """The page's own drawing of one marker that moved up by ``LONG_PX``, as eyes see it that see no colours."""
-    jpeg = base64.b64encode(cv2.imencode(".jpg", np.full((480, 490), 90, np.uint8))[1].tobytes()).decode()
-    content = {"width": 490, "jpeg": jpeg, "state": "contact", "score": 0.0, "kinds": [kind]}
-    content |= {"rest": [245, 240], "moved": [0, -LONG_PX / 4]}  # arrows are enlarged 4 times
+def grey(page: Any, kind: int, size: tuple[int, int] = (490, 480)) -> NDArray[np.int16]:
+    """The page's own drawing of one marker that moved up by ``LONG_PX``, as eyes see it that see no colours.
+
+    The marker is in the middle of a frame of this width and height.
+    """
+    width, height = size
+    jpeg = base64.b64encode(cv2.imencode(".jpg", np.full((height, width), 90, np.uint8))[1].tobytes()).decode()
+    content = {"width": width, "height": height, "jpeg": jpeg, "state": "contact", "score": 0.0, "kinds": [kind]}
+    content |= {"rest": [width / 2, height / 2], "moved": [0, -LONG_PX / 4 * width / 490]}  # enlarged 4 times
     shown: str = page.evaluate(
         """async content => { const { drawFelt } = await import("/dashboard/felt.js");
           const canvas = Object.assign(document.createElement("canvas"), { width: 490, height: 480 });
@@ -53,6 +57,12 @@ def test_which_markers_slip_is_told_by_shape(page: Any) -> None:
         assert head.max() >= 5, f"{name}: where it moved to has a head"
         shapes[name] = ("solid" if shaft.all() else "dashed", "spot" if tail.max() >= 5 else "")
     assert shapes == {"outside": ("dashed", ""), "sticks": ("solid", ""), "slips": ("solid", "spot")}
+
+
+@pytest.mark.parametrize(("size", "middle"), [((490, 480), 240), ((320, 240), 184), ((245, 490), 490)])
+def test_arrows_lie_on_their_markers_whatever_the_frame(page: Any, size: tuple[int, int], middle: int) -> None:
+    rows = np.flatnonzero((np.abs(grey(page, 1, size) - grey(page, -1, size)) > 20).any(axis=1))
+    assert (rows.min(), rows.max()) == (pytest.approx(middle - LONG_PX, abs=5), pytest.approx(middle, abs=5))
 
 
 def test_the_curve_of_one_finger_does_not_hide_the_others(live: LiveService, page: Any) -> None:
