@@ -67,8 +67,8 @@ class Metrics:
         unpaired.set_function(lambda: station.pairer.dropped_n)
         caught.labels("perception").set_function(lambda: station.counters.perception_errors_n)
         caught.labels("listener").set_function(lambda: station.hub.errors_n)
-        disk = Disk(lambda: station.manager.unrecorded)
-        recording.set_function(lambda: float(not disk.problem()))
+        self._disk = Disk(lambda: station.manager.unrecorded)
+        recording.set_function(lambda: float(not self._disk.problem()))
         unrecorded.set_function(lambda: station.manager.unrecorded_n)
         left_out.set_function(lambda: station.manager.frames_unrecorded_n)
         ready.set_function(lambda: float(station.ready))
@@ -76,9 +76,6 @@ class Metrics:
         self._text, self._made_ns, self._making = b"", -_NEWEST_NS, asyncio.Lock()
         self._begin_series()
         station.hub.subscribe(self._on_event)
-        for finger, camera in station.cameras.items():  # what was lost while the service waited for its cameras
-            if camera.state == "lost":
-                self._faults.labels(finger, "camera_lost").inc()
 
     def _begin_series(self) -> None:
         """Series that alerts read begin at 0: a worn gel gives no correction, and nothing is divided by no series."""
@@ -93,6 +90,9 @@ class Metrics:
         for finger, fault in product(self._station.cameras, get_args(wire.FaultCode)):
             if fault.startswith("camera_"):
                 self._faults.labels(finger, fault)
+        for finger, camera in self._station.cameras.items():  # lost while the service waited for its cameras
+            if camera.state == "lost":
+                self._faults.labels(finger, "camera_lost").inc()
 
     def _age_s(self, finger: Finger) -> float:
         newest_ns = self._station.cameras[finger].newest_ns
