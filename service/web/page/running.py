@@ -42,6 +42,11 @@ class Running:
     move: dict[str, Any] | None = None
     problem: str = ""
 
+    @property
+    def most_n(self) -> int:
+        """Attempts at most; a controller of somebody else's may allow more, over several grasps."""
+        return max(wire.MAX_ATTEMPTS, self.attempt)
+
     def goes_on(self, insertion_id: str) -> "Running":
         """The insertion that continues with this one's object; an attempt that did not go down does not count."""
         again = replace(self, insertion_id=insertion_id, phase="start", problem="", depth_mm=None)

@@ -196,7 +196,7 @@ class Status:
             now_s, steady_s = time.time(), time.monotonic()
             shown = running and asdict(running) | {
                 "began_s": now_s - (steady_s - running.began_s),
-                "attempts_max": max(wire.MAX_ATTEMPTS, running.attempt),
+                "attempts_max": running.most_n,
                 "words": PHASES.get(running.phase, running.phase),
             }
             return {
@@ -229,9 +229,7 @@ class Status:
         unseen = f"No picture from the {' and the '.join(bad)} camera" if bad else ""
         if self._running is not None:
             running = self._running
-            counted = (
-                f"Attempt {running.attempt} of {max(wire.MAX_ATTEMPTS, running.attempt)}: " if running.attempt else ""
-            )
+            counted = f"Attempt {running.attempt} of {running.most_n}: " if running.attempt else ""
             if running.afresh_n and running.attempt == running.earlier_n:
                 counted = "Regrasped: "
             words = PHASES.get(running.phase, running.phase)

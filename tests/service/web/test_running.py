@@ -17,3 +17,11 @@ def test_why_nothing_was_decided_stays_readable_until_the_next_attempt() -> None
     assert running.phase == "arming"
     running.robot(wire.RobotSample(at_ns=2, phase="descending", attempt=2))
     assert running.phase == "descending"
+
+
+def test_attempts_over_several_grasps_never_exceed_the_most_that_is_shown() -> None:
+    running = Running("box", descended_n=4).goes_on("again")
+    running.from_client(ARM.model_copy(update={"attempt": 3}))
+    assert (running.attempt, running.most_n) == (7, 15)
+    running.from_client(ARM.model_copy(update={"attempt": 15}))
+    assert (running.attempt, running.most_n) == (19, 19)
