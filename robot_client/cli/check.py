@@ -125,7 +125,8 @@ async def hello_of(settings: Settings) -> wire.ServiceHello:
     await link.start(answers.put_nowait)
     link.send(wire.ClientHello(insertion_id="check", client="robot client check", role="watch"))
     try:
-        answer = await asyncio.wait_for(answers.get(), settings.service.connect_timeout_s)
+        async with asyncio.timeout(settings.service.connect_timeout_s):
+            answer = await answers.get()
     finally:
         await link.close()
     if isinstance(answer, Failure):

@@ -27,6 +27,7 @@ from service.contract import wire
 from service.contract.frames import Finger
 from service.contract.refusals import reason
 
+SCALED = ("grip_n", "shear_reach_mm")  # of the task, measured at the set grip and in proportion to it
 RATE_HZ = 30.0  # of cameras that have not told theirs
 
 
@@ -82,14 +83,14 @@ def grips_of(settings: Settings, *, one_grip: bool) -> list[float | None]:
 
 
 def with_grip(settings: Settings, grip_n: float | None) -> Settings:
-    """The same cell with another grip; a measured force of the fingers is taken to change by as much."""
+    """The same cell with another grip; what was measured under the set one is taken to change by as much."""
     if grip_n is None:
         return settings
     key, task = settings.gripper.grip_key, settings.task
     share = grip_n / float(getattr(settings.gripper, key))
-    measured_n = None if task.grip_n is None else share * task.grip_n
+    scaled = {name: value and share * value for name in SCALED if (value := getattr(task, name)) is not None}
     gripper = settings.gripper.model_copy(update={key: grip_n})
-    return settings.model_copy(update={"gripper": gripper, "task": task.model_copy(update={"grip_n": measured_n})})
+    return settings.model_copy(update={"gripper": gripper, "task": task.model_copy(update=scaled)})
 
 
 def _steps(probes_n: int, path: Path, record: Record | None, grips_n: Sequence[float | None]) -> list[str]:
@@ -163,15 +164,26 @@ class Probing:
 
     async def gels(self) -> dict[Finger, str]:
         """Those of the service now, by its names; raises DriverError if it does not answer."""
+        return {camera.finger: camera.gel for camera in (await self._hello()).cameras}
+
+    async def _hello(self) -> wire.ServiceHello:
         try:
-            return {camera.finger: camera.gel for camera in (await hello_of(self._settings)).cameras}
+            return await hello_of(self._settings)
         except TimeoutError:
             raise DriverError(f"service: {self._settings.service.url} has not answered in time") from None
 
     async def allowed(self, grips_n: Sequence[float | None]) -> list[float | None]:
-        """Those of the grips that the gripper allows; says which it does not. Moves nothing, raises DriverError."""
-        kept = list(grips_n)
+        """Those of the grips that the gripper and the service's networks allow; says which they do not.
+
+        Moves nothing, raises DriverError.
+        """
+        kept, trained = list(grips_n), [entry.card.pressing for entry in (await self._hello()).models]
         for grip_n in grips_n[1:]:
+            stated = {name: getattr(with_grip(self._settings, grip_n).task, name) for name in SCALED}
+            if why := next((why for one in trained if one and (why := one.outside(stated))), ""):
+                show(f"PRESSES AT ONE GRIP ONLY: {why}")
+                kept.remove(grip_n)
+                continue
             gripper = with_grip(self._settings, grip_n).make_gripper()
             try:
                 findings = [finding for read in gripper.checks().values() for finding in await read()]

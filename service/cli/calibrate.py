@@ -48,6 +48,10 @@ def main(arguments: Sequence[str]) -> int:
         _draw(options.pictures, finger, image, fit)
     check_two_cameras((options.camera_left, fits["left"]), (options.camera_right, fits["right"]))
     options.out.parent.mkdir(parents=True, exist_ok=True)
+    earlier = options.out.with_name(f"{options.out.stem}.earlier{options.out.suffix}")
+    if options.out.exists():
+        options.out.replace(earlier)
+        print(f"the calibration of before is kept as {earlier}: a commissioning that was made with it names its gels")
     Calibration(fits["left"].camera, fits["right"].camera).save(options.out)
     print(f"wrote {options.out}")
     return 0
@@ -139,10 +143,14 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--sensor", default=DEFAULT_SENSOR, help="name or TOML profile of the sensor (%(default)s)")
     parser.add_argument("--new-profile", type=Path, metavar="TOML", help="count the markers, write this profile")
     parser.add_argument("--pitch-mm", type=float, default=1.5, help="with --new-profile: distance of its markers (1.5)")
-    up_help = "with --new-profile: edge of the picture that shows the end of the gel away from the table (%(default)s)"
-    parser.add_argument("--up", choices=EDGES, default="top", help=up_help)
-    parser.add_argument("--fps", type=int, default=30, help="with --new-profile: frames per second (30)")
+    up_help = "with --new-profile: edge of the picture that shows the end of the gel away from the table (top)"
+    parser.add_argument("--up", choices=EDGES, help=up_help)
+    parser.add_argument("--fps", type=int, help="with --new-profile: frames per second (30)")
     parser.add_argument("--out", type=Path, default=Path("calibration.toml"), help="file to write (calibration.toml)")
     parser.add_argument("--frames", type=int, default=15, help="frames per camera; their median is used (15)")
     parser.add_argument("--pictures", type=Path, help="folder for rectified pictures and residual maps, for inspection")
-    return parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
+    if options.new_profile is None and (options.up or options.fps):
+        raise CalibrationError("--up and --fps describe a new profile: expected with --new-profile TOML")
+    options.up, options.fps = options.up or "top", options.fps or 30
+    return options

@@ -95,11 +95,11 @@ def stops_of(
     ``pairs`` begins anew with both fingers' pictures. ``refused``: gels that were not taken as open. ``cost_ms``: CPU
     of a finger and frame, all in, and time of its parts: median, 95th and 99th percentile.
     """
-    opened: list[TactileFrame] = []
-    if open_frame is not None:
-        opened = _taken(open_frame, next(itertools.islice(pairs(), open_frame, None)), rate_hz)
-    watch = LiveWatch(next(pairs()), opened)
     begin = open_frame if open_frame is not None and open_frame < held.start else 0
+    opened: list[TactileFrame] = []
+    if open_frame is not None:  # learnt before the grasp, although it may have been recorded after it
+        opened = _taken(begin - 1, next(itertools.islice(pairs(), open_frame, None)), rate_hz)
+    watch = LiveWatch(next(pairs()), opened)
     frames: dict[str, list[int]] = {cause: [] for cause in ("armed", *CAUSES)}
     for k, pair in enumerate(itertools.islice(pairs(), begin, held.stop), begin):
         causes = watch.update(_taken(k, pair, rate_hz), held=k in held)

@@ -33,7 +33,7 @@ class Press(Contract):
     """
 
     fast: bool
-    stop: Stop | None
+    stop: Stop | None = None  # the record's TOML leaves out what is None
     afresh: bool = False
 
 

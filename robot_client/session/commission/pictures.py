@@ -2,6 +2,7 @@
 
 import asyncio
 import html
+import ssl
 import time
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from typing import Any
@@ -27,8 +28,10 @@ async def picture_of(service: ServiceSettings, insertion_id: str, caption: str) 
     headers = {"Authorization": f"Bearer {token}"} if token else {}
     address = httpx.URL(service.url)  # of a WebSocket beside the recordings
     base = address.copy_with(scheme=address.scheme.replace("ws", "http")).join(".")
+    trusted = ssl.create_default_context()  # as the WebSocket's: the system's authorities and SSL_CERT_FILE
+    asking = httpx.AsyncClient(base_url=base, headers=headers, timeout=WAIT_S, trust_env=False, verify=trusted)
     try:
-        async with httpx.AsyncClient(base_url=base, headers=headers, timeout=WAIT_S, trust_env=False) as http:
+        async with asking as http:
             return svg(caption, [panel async for panel in _panels(http, insertion_id)])
     except httpx.HTTPError as error:
         why = f"{type(error).__name__} {error}"

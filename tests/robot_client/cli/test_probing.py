@@ -23,6 +23,8 @@ from robot_client.session.cycle import CycleSettings
 from robot_client.session.travel import Errands
 from robot_client.settings import Settings, Task
 from service.contract import wire
+from service.contract.shipped import released_models
+from service.decision.models import load_models
 from tests.robot_client.insertion.stories import APPROACH, ID, PLAN, TO_DESCENT, at, run, service
 from tests.robot_client.live_cell import Part, bench, undisturbed
 from tests.robot_client.session.test_lateness import SLIPPED
@@ -155,15 +157,19 @@ def test_a_probe_reckons_with_the_lateness_as_soon_as_it_is_known(tmp_path, monk
     assert [plan.until_slip for plan in plans] == [False, True, False]
 
 
+def measured_at(force_n):
+    return Task(grip_n=0.5 * force_n, shear_reach_mm=0.02 * force_n)
+
+
 @pytest.mark.parametrize(
     ("set_n", "one_grip", "grips_n"), [(40.0, False, [40.0, 20.0]), (15.0, False, [15.0, 30.0]), (40.0, True, [40.0])]
 )
 def test_presses_are_made_at_two_grips_one_twice_the_other(set_n, one_grip, grips_n):
-    settings = REAL.model_copy(update={"gripper": Wsg50Settings(force_limit_n=set_n), "task": Task(grip_n=0.5 * set_n)})
+    settings = REAL.model_copy(update={"gripper": Wsg50Settings(force_limit_n=set_n), "task": measured_at(set_n)})
     assert grips_of(settings, one_grip=one_grip) == grips_n
     pressed = with_grip(settings, grips_n[-1])
     assert pressed.gripper == Wsg50Settings(force_limit_n=grips_n[-1])
-    assert pressed.task == Task(grip_n=0.5 * grips_n[-1]), "a measured force changes by as much"
+    assert pressed.task == measured_at(grips_n[-1]), "what was measured changes by as much"
     assert settings.task.grip_n == 0.5 * set_n
     assert grips_of(REAL.model_copy(update={"gripper": DryGripperSettings()}), one_grip=False) == [None]
 
@@ -203,6 +209,24 @@ def test_a_press_grips_and_tells_the_service_what_was_asked_over_real_sockets(tm
     assert [line for line in lines if "AT ONE GRIP ONLY" in line] == [
         "PRESSES AT ONE GRIP ONLY: force_limit_n = 100, this gripper allows 5 .. 80"
     ]
+
+
+async def allowed_live(tmp_path, grip_n):
+    models = load_models(released_models()).entries
+    tables = {"cycle": REAL.cycle.model_dump(), "task": {"grip_n": grip_n}}
+    async with bench(holding=False, overrides=tables) as cell:
+        plain = cell.service.hello
+        cell.service.hello = lambda **asked: plain(**asked).model_copy(update={"models": models})
+        return await Probing(cell.settings, cell.settings.cycle, tmp_path).allowed((40.0, 20.0))
+
+
+@pytest.mark.parametrize(("grip_n", "allowed"), [(18.0, [40.0]), (20.0, [40.0, 20.0])])
+def test_a_grip_on_which_the_networks_were_not_trained_is_left_out(tmp_path, monkeypatch, grip_n, allowed):
+    """The service would refuse to press at it, in every run."""
+    lines = []
+    monkeypatch.setattr("robot_client.cli.commission.show", lines.append)
+    assert undisturbed(lambda: allowed_live(tmp_path, grip_n)) == allowed
+    assert any("grip_n is 9" in line for line in lines) == (allowed == [40.0])
 
 
 def test_a_probe_tells_how_far_below_the_taught_tops_it_touched(tmp_path, monkeypatch):

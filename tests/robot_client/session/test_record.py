@@ -52,7 +52,7 @@ def test_a_file_that_is_no_record_is_refused_by_name(tmp_path, text):
 
 
 def test_a_record_is_read_as_it_was_written(tmp_path):
-    path, presses = tmp_path / RECORD, series_of(0.05)
+    path, presses = tmp_path / RECORD, series_of(0.05, slips={3})
     signs = (*answers(), *answers(reason="stale"), *all_went_in())
     record = Record(begun="today", seed=1, signs=signs, timed=tuple(presses), gels={"left": "a", "right": 'b"\n'})
     keep_record(path, record)

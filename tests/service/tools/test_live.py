@@ -53,6 +53,14 @@ def test_it_is_armed_at_rest_in_the_held_grasp_alone_and_again_after_a_stop(pict
     assert min(late["armed_frames"]) > slid
 
 
+def test_an_open_gel_that_is_recorded_after_the_grasp_is_learnt_before_it(pictures):
+    held_first, slid = [*pictures[OPEN_N:], *pictures[:OPEN_N]], HELD_N + PULLED_N
+    live = watched(held_first, range(3, len(pictures) - OPEN_N), len(pictures) - 2)
+    assert live["refused"] == []
+    assert 4 <= live["armed_frames"][0] < HELD_N
+    assert live["stalled_frames"] == [slid]
+
+
 def test_the_cost_is_that_of_the_whole_and_of_its_parts(pictures):
     cost_ms = watched(pictures, held=range(9, 14))["cost_ms"]
     assert set(cost_ms) == {"whole", "rectify", "markers", "slip", "imprint"}
