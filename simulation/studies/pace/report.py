@@ -240,7 +240,7 @@ def _choices(of: Row) -> str:
 
     <!-- not executed: writes pace.toml -->
     ```sh
-    python -m simulation choose --seconds-a-box 15 --success 0.95 --max-force 40
+    python -m simulation choose --seconds-a-box 20 --success 0.95 --max-force 40
     ```
     """
 
