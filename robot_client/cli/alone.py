@@ -22,5 +22,5 @@ def alone(settings: Settings) -> Iterator[None]:
         try:
             kept.bind(f"\0tactile-insertion/{name}")
         except OSError:
-            raise DriverError(f"another client moves the cell with the gripper {address}: end it first") from None
+            raise DriverError(f"another client has the cell with the gripper {address}: end it first") from None
         yield

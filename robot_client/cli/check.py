@@ -54,9 +54,9 @@ async def findings_of(settings: Settings) -> AsyncIterator[tuple[str, Finding]]:
         yield "gripper", Finding(False, str(error))
     else:
         checks |= {**arm.checks(), **gripper.checks()}
-    if settings.cycle and settings.cycle.plc and (signals := arm.signals()):
-        names = settings.cycle.plc
-        checks["plc"] = lambda: _plc(signals, [names.start, names.ready, names.done, names.fault])
+        if settings.cycle and settings.cycle.plc and (signals := arm.signals()):
+            names = settings.cycle.plc
+            checks["plc"] = lambda: _plc(signals, [names.start, names.ready, names.done, names.fault])
     try:
         for name, read in checks.items():
             try:

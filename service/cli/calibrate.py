@@ -2,7 +2,9 @@
 
 import argparse
 import json
+import shutil
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 import cv2
@@ -48,9 +50,10 @@ def main(arguments: Sequence[str]) -> int:
         _draw(options.pictures, finger, image, fit)
     check_two_cameras((options.camera_left, fits["left"]), (options.camera_right, fits["right"]))
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    earlier = options.out.with_name(f"{options.out.stem}.earlier{options.out.suffix}")
     if options.out.exists():
-        options.out.replace(earlier)
+        made = datetime.fromtimestamp(options.out.stat().st_mtime, UTC)
+        earlier = options.out.with_name(f"{options.out.stem}.{made:%Y%m%dT%H%M%S%f}{options.out.suffix}")
+        shutil.copy2(options.out, earlier)
         print(f"the calibration of before is kept as {earlier}: a commissioning that was made with it names its gels")
     Calibration(fits["left"].camera, fits["right"].camera).save(options.out)
     print(f"wrote {options.out}")

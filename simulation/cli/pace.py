@@ -82,9 +82,9 @@ class ChooseOptions:
     """
 
     seconds_a_box: float
-    """seconds per box, at most, on average"""
+    """mean seconds per box, at most, by the upper end of its 95 % interval"""
     success: float = 0.9
-    """share of boxes inserted, at least"""
+    """share of boxes inserted, at least, by the lower end of its 95 % interval"""
     max_force: float = 50.0
     """N, at most, in 95 % of insertions"""
     world: Path | None = None
@@ -92,8 +92,8 @@ class ChooseOptions:
     report: Path = Path("docs/pace.json")
     out: Path = Path("pace.toml")
     """file for the settings, to be put into the client's cell.toml"""
-    count: int = 48
-    """insertions per choice, with --world"""
+    count: int = 100
+    """insertions per choice, with --world; more show more"""
 
 
 def choose(arguments: list[str]) -> int:

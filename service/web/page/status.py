@@ -19,7 +19,7 @@ from service.web.page.running import ANSWERED, Running
 from service.web.page.sentences import CHARTS, PHASES, changed, ended, event, versions
 
 EVENTS_N = 30
-AFRESH_S = 90.0  # the trip to the fixture and back takes some 12 s in the simulated cell
+AFRESH_S = 90.0  # the trip to the fixture and back takes some 16 s, 300 mm away
 SHOWN_ALARMS_N = 20
 RECORDING_REMEDY = "The cell goes on. Make room on that disk, or see that it can be written."
 CAMERA_REMEDY = "Check cable and power of that finger. It comes back by itself."

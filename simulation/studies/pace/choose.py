@@ -43,7 +43,7 @@ def choose(data: Row, wanted: Wanted) -> tuple[Row, bool]:
 def summary(point: Row, count: int, wanted: Wanted, *, kept: bool) -> str:
     """The choice and its results, simulated."""
     asked = f"{wanted.seconds_a_box:g} s a box, {wanted.success:.1%} inserted, {wanted.force_n:g} N"
-    answer = "meets" if kept else f"the NEAREST; {count} insertions show no choice to meet"
+    answer = "meets" if kept else f"the NEAREST; {count} insertions show no choice to meet (more may)"
     return (
         f"{point['name']}: {answer} {asked}\n"
         f"  simulated, {count} insertions: {Estimate(*point['seconds_a_box']):.2f} s a box,"

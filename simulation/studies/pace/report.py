@@ -216,8 +216,8 @@ def _choices(of: Row) -> str:
     return f"""
     ## What ships, and why
 
-    Regrasps take {number(regrasps, ".0%")} of all seconds; two thirds of one is the way to the fixture, 300 mm there
-    and back at 80 mm/s. What ships avoids them: {shipped["trips"]:.2f} a box instead of {before["trips"]:.2f}.
+    Regrasps take {number(regrasps, ".0%")} of all seconds; half of one is the way of 300 mm to the fixture and
+    back at 80 mm/s. What ships avoids them: {shipped["trips"]:.2f} a box instead of {before["trips"]:.2f}.
 
     - **Probing speed: {shipped["client"]["ramps"]["descend"]["speed_mm_s"]:g} mm/s around the tops of the blocks,
       {shipped["client"]["pace"]["fast_mm_s"]:g} mm/s above and below.** [Slower is
@@ -235,8 +235,8 @@ def _choices(of: Row) -> str:
       (*{_short(of, "heuristic")}*; *{_short(of, "joint")}*).
     - **Not shipped: the quick choice.** It needs {quick["needs"]}, and a PC that judges every frame.
 
-    `choose` writes the settings that keep what you ask for, or the nearest if none does. It never prefers a choice with
-    a false claim. With `--world` it plays all choices in your cell first:
+    `choose` writes the settings that keep what you ask for, by their 95 % intervals, or the nearest if none does. It
+    never prefers a choice with a false claim. With `--world` it plays all choices in your cell first:
 
     <!-- not executed: writes pace.toml -->
     ```sh

@@ -31,7 +31,7 @@ def test_a_second_client_of_a_cell_moves_nothing(command, capsys):
     settings = load_settings(None, {"gripper": {"host": "127.0.0.1", "port": 9}})
     with alone(settings):
         assert main([*command, "--live", "--gripper", AT]) == 1
-    assert f"another client moves the cell with the gripper {AT}: end it first" in capsys.readouterr().err
+    assert f"another client has the cell with the gripper {AT}: end it first" in capsys.readouterr().err
     with alone(settings), alone(load_settings(None, {"gripper": {"host": "127.0.0.1", "port": 10}})):
         pass  # nor does a cell keep out the next insertion, or another cell
 

@@ -65,8 +65,10 @@ def test_the_command_writes_a_file_that_the_service_loads(tmp_path, capsys):
     cameras = [f"--camera-{finger}=file:{tmp_path / finger}" for finger in ("left", "right")]
     out.write_text("the one of before")
     assert main(["calibrate", *cameras, "--out", str(out), "--frames", "2", "--pictures", str(tmp_path)]) == 0
-    assert (tmp_path / "calibration.earlier.toml").read_text() == "the one of before"
     assert main(["calibrate", *cameras, "--out", str(out), "--up", "bottom"]) == 2, "which only a new profile can state"
+    first = out.read_text()
+    assert main(["calibrate", *cameras, "--out", str(out), "--frames", "2"]) == 0
+    assert {kept.read_text() for kept in tmp_path.glob("calibration.*.toml")} == {"the one of before", first}
     assert "21 x 20 markers" in capsys.readouterr().out
     left = Calibration.load(out).left
     assert left.raw.width_px == 427
