@@ -216,9 +216,10 @@ def test_a_share_that_locks_only_what_is_open_for_writing_has_its_recordings_rec
         lock(stream, how)
 
     monkeypatch.setattr(fcntl, "flock", flock)
-    with Recorder(tmp_path, "alive", {})._stream:
-        assert [whole.parent for whole in recover(tmp_path)] == [folder]
-        assert is_being_written(next(tmp_path.glob("*_alive")))
+    alive = Recorder(tmp_path, "alive", {})
+    recovered = [whole.parent for whole in recover(tmp_path)], is_being_written(next(tmp_path.glob("*_alive")))
+    alive.close({"outcome": "aborted"})
+    assert recovered == ([folder], True)
 
 
 def test_a_recording_that_cannot_be_recovered_stays_as_it_is_and_stops_nothing(
