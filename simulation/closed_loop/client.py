@@ -20,7 +20,7 @@ SETTLE_S = 0.1  # from the end of a ramp, or of the stop lag, until the client t
 FIXTURE_MM, RETREAT_MM = 300.0, 40.0
 """Path from the gap to the regrasp place, and the height above it from which on nothing is in the way."""
 GRIPPER_S, GUIDANCE_S = 1.0, 1.0
-"""Time to open or close the fingers of a cell, and to start the guidance of its arm."""
+"""Time to open or close the fingers of a cell, and to start the guidance of its arm: assumed, not measured."""
 
 
 def longest_travel_mm(speed_mm_s: float) -> float:
