@@ -109,9 +109,9 @@ async def _commissioned(settings: Settings) -> list[Finding]:
     plan = with_commissioning(settings, make_plan(settings, 0.0, 0.0, "check", None), asked=True)
     plan.lease.check(plan.ramps.descend.speed_mm_s)
     late_s, fast_mm_s = commissioned(settings.commissioning).late_s, plan.pace.fast_mm_s
-    lasts = f"the lease lasts {1e3 * plan.lasts_s(fast=False):.0f} ms"
+    lasts = f"the lease lasts {1e3 * plan.lease.lasts_s(plan.ramps.descend.speed_mm_s):.0f} ms"
     if fast_mm_s is not None and not plan.fast_lease.bears(fast_mm_s):
-        lasts += f", too short for {fast_mm_s:g} mm/s: it descends at the probing speed all the way"
+        lasts += f", too short for {fast_mm_s:g} mm/s: fast legs are slower, or there are none"
     if late_s is None:
         late = f"how late pictures and arm are was not measured: for the {1e3 * plan.lease.stop_lag_s:.0f} ms set"
         return [Finding(True, f"commissioned; {late}, {lasts}")]

@@ -149,7 +149,7 @@ def descend(state: State, captured_ns: int, at_s: float) -> Result:
     plan, start_mm = state.plan, state.pose.z_mm
     bottom = state.armed.at_height(state.armed.z_mm - state.bottom_mm)
     probing_mm_s, state = plan.ramps.descend.speed_mm_s, replace(state, touched=False)
-    legs = plan.pace.legs(start_mm, bottom.z_mm, probing_mm_s, state.tops) if state.fast else ()
+    legs = plan.pace.legs(start_mm, bottom.z_mm, probing_mm_s, state.tops)
     state, commands = go(state, Phase.DESCENDING, (bottom,), "descend", at_s, state.until_s, legs)
     if state.done:
         return state, commands

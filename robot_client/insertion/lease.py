@@ -84,6 +84,12 @@ class Lease(Contract):
         """The fastest descent on this lease with cameras of ``rate_hz``."""
         return self.travel_mm / (FRAMES_N / rate_hz + HANDLING_S + self.stop_lag_s)
 
+    def fastest_legs_mm_s(self, rate_hz: float) -> float:
+        """As `fastest_mm_s`, if a lease longer than that speed allows is shortened."""
+        fastest_mm_s = self.fastest_mm_s(rate_hz)
+        shortened = self.at_most(fastest_mm_s)
+        return fastest_mm_s if shortened == self else self.at_most(0.0).fastest_mm_s(rate_hz)
+
 
 def check_leased(motion: Motion, until_s: float | None) -> None:
     """Raise LimitError for a descent without a lease, and for any other move with one."""

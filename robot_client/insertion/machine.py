@@ -227,7 +227,7 @@ def _on_hello(state: State, message: wire.ServiceHello, at_s: float) -> Result:
         state.plan.check_cameras(message.cameras)
     except LimitError as error:
         return fail(state, "limits", "camera", str(error))
-    state, _ = _on_clock(replace(state, fast=state.plan.bears_fast(message.cameras)), message.clock, at_s)
+    state, _ = _on_clock(replace(state, plan=state.plan.with_legs_for(message.cameras)), message.clock, at_s)
     if state.held:  # the gels are loaded: only a print that is regular by itself can show their touch
         return grasp(state, at_s)
     deadline_s = at_s + state.plan.timeouts.arming_s

@@ -154,10 +154,11 @@ class Plan(Contract):
         height_mm = self.approach.z_mm - self.clearance_mm
         return Tops(height_mm, height_mm)
 
-    def lasts_s(self, *, fast: bool) -> float:
+    @property
+    def lasts_s(self) -> float:
         """How old the newest judged frame may grow in a descent; both leases hold in one that has fast legs."""
         lasts_s = self.lease.lasts_s(self.ramps.descend.speed_mm_s)
-        if not fast or self.pace.fast_mm_s is None:
+        if self.pace.fast_mm_s is None:
             return lasts_s
         return min(lasts_s, self.fast_lease.lasts_s(self.pace.fast_mm_s))
 
@@ -170,19 +171,19 @@ class Plan(Contract):
                     f"the {camera.finger} gel is not the one that this cell was commissioned with: commission it again"
                 )
 
-    def bears_fast(self, cameras: Iterable[wire.CameraEntry]) -> bool:
-        """Whether the cameras' rate and the stop lag allow the fast legs; else a descent is slow all the way.
+    def with_legs_for(self, cameras: Iterable[wire.CameraEntry]) -> "Plan":
+        """This plan, with fast legs no faster than the cameras' rate and the stop lag bear.
 
-        The same applies to an arm that cannot stop and go on: it has only one speed.
+        Where that is no faster than probing it has none, as for an arm that cannot stop and go on.
         """
-        if self.pace.fast_mm_s is None or not self.pause_s or not self.fast_lease.bears(self.pace.fast_mm_s):
-            return False
-        try:
-            for camera in cameras:
-                self.fast_lease.check_rate(self.pace.fast_mm_s, camera)
-        except LimitError:
-            return False
-        return True
+        if self.pace.fast_mm_s is None:
+            return self
+        rates_hz = [camera.frame_rate_hz for camera in cameras if camera.frame_rate_hz is not None]
+        fast_mm_s = min([self.pace.fast_mm_s, *map(self.fast_lease.fastest_legs_mm_s, rates_hz)])
+        lease = self.fast_lease.at_most(fast_mm_s)
+        has_legs = self.pause_s and fast_mm_s > self.ramps.descend.speed_mm_s and lease.bears(fast_mm_s)
+        legs = {"fast_mm_s": fast_mm_s if has_legs else None, "fast_travel_mm": lease.travel_mm}
+        return self.model_copy(update={"pace": self.pace.model_copy(update=legs)})
 
     @property
     def fast_lease(self) -> Lease:
@@ -204,8 +205,7 @@ class State:
     the gripper held something when the insertion began. ``width_mm``: distance of its fingers, as far as it reports it;
     ``open_mm``: before they closed.
     ``watched_s``: the earliest possible capture of the newest judged frame, on our clock. ``met``: heights at which
-    attempts stopped on the tops. ``touched``: something has pressed on the object in this descent. ``fast``: the
-    cameras' rate suffices for the fast legs.
+    attempts stopped on the tops. ``touched``: something has pressed on the object in this descent.
     ``speed_mm_s``: of the descent under way; ``speeds``: time (``at_s``), distance (mm) and value (mm/s) of its
     changes. ``straightened``: the last attempt before which the tool was tilted; ``arms_again``: it is being tilted,
     and the attempt keeps its number.
@@ -231,7 +231,6 @@ class State:
     watched_s: float = -math.inf
     met: Tops | None = None
     touched: bool = False
-    fast: bool = False
     speeds: tuple[tuple[float, float, float], ...] = ()
     speed_mm_s: float = 0.0
     arms_again: bool = False
@@ -245,7 +244,7 @@ class State:
     @property
     def until_s(self) -> float:
         """The time at which the target of a descent must stop unless a newer frame is judged."""
-        return self.watched_s + self.plan.lasts_s(fast=self.fast)
+        return self.watched_s + self.plan.lasts_s
 
     @property
     def done(self) -> bool:

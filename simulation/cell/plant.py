@@ -65,7 +65,7 @@ def build(scene: Scene, options: CellOptions) -> Plant:
         regrasp=regrasp,
         draw={finger: _drawer(renderers[finger], options.seed) for finger in FINGERS},
         start=_pose_of(cell),
-        part_width_mm=scene.object.held_size_y_mm or scene.object.size_y_mm,
+        part_width_mm=scene.object.held_width_mm,
         gap_width_mm=scene.blocks.gap_mm,
         neighbours_stay=scene.neighbours_stay,
         full_depth_mm=scene.full_depth_mm,

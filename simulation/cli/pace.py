@@ -17,6 +17,7 @@ from simulation.closed_loop import campaign
 from simulation.closed_loop.job import Perception
 from simulation.scene.worlds import World, load_objects, load_world
 from simulation.studies.drawn_worlds import Start, starts
+from simulation.studies.lateness import timed_each
 from simulation.studies.pace import choose as choosing
 from simulation.studies.pace import report
 from simulation.studies.pace.kept import kept as kept_results
@@ -64,9 +65,11 @@ def main(arguments: list[str]) -> int:
 
 
 def _played(options: PlayOptions, begun: Sequence[Start]) -> dict[str, Any]:
-    todo = tasks(POINTS, begun, options.seed, options.models)
+    cells = [(start.world, start.scene) for start in begun]
+    late = timed_each(cells, options.seed, options.models, options.workers)
+    todo = tasks(POINTS, begun, options.seed, options.models, [row["late_s"] for row in late])
     rows = options.play(todo, campaign.fingerprint(_folders(options.models)))
-    return {"seed": options.seed, "commit": commit(), **report.report_of(rows, POINTS)}
+    return {"seed": options.seed, "commit": commit(), "late": late, **report.report_of(rows, POINTS)}
 
 
 def _folders(models: Path) -> dict[str, Path]:

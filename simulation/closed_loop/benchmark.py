@@ -11,6 +11,7 @@ import numpy as np
 
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.job import job_in
+from simulation.closed_loop.lockstep import hash_seed
 from simulation.closed_loop.statistics import Row, class_of, ends, first_decisions, title_of
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World
@@ -29,19 +30,20 @@ def drawn_starts(scene: Scene, count: int, seed: int) -> list[tuple[float, float
 def tasks(
     worlds: Sequence[World], objects: Mapping[str, Scene], count: int, seed: int, models: Path, made_by: str, **job: Any
 ) -> list[Task]:
-    """``count`` insertions of each pair, ordered by start; an object has the same starts in every world.
+    """``count`` insertions of each pair, ordered by start: the same of an object in every world, in other grasps.
 
     ``job``: fields of `Job` shared by all. Raises SceneError where a world and an object do not fit.
     """
     for world in worlds:
         for scene in objects.values():
             world.around(scene)
-    starts = {name: drawn_starts(scene, count, seed + scene.number) for name, scene in objects.items()}
+    starts = {name: drawn_starts(scene, count, hash_seed(seed, scene.number)) for name, scene in objects.items()}
     return [
-        Task(models, job_in(world, name, index, starts[name][index], seed * 100_000 + index, **job), made_by)
+        Task(models, job_in(world, name, index, starts[name][index], drawn, **job), made_by)
         for index in range(count)
         for world in worlds
-        for name in objects
+        for name, scene in objects.items()
+        for drawn in [hash_seed(seed, world.number, scene.number, index)]
     ]
 
 

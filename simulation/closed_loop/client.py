@@ -66,7 +66,6 @@ def plan_of(
         ramps=ramps.model_copy(update={"descend": descend}),
         pause_s=PAUSE_S,
         fixture=True,
-        signs_known=unstated.wired_right,
         lease=Lease(travel_mm=longest_travel_mm(scene.speed_mm_s)),
     )
     return plan if client is None else _as_set(plan, client)

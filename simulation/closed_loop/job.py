@@ -35,7 +35,8 @@ class Job:
     its table `[world]`.
 
     ``given_reach``: the client also sends the gel's shear reach, with the error of a cell that has measured it.
-    ``commissioned``: the wiring check has shown which way each finger sees a turn, where nothing is wired wrong.
+    ``commissioned``: a wiring check is taken to have shown which way each finger sees a turn, as on a cell also where
+    it has missed what is wired wrong, or that came later.
     ``late_s``: the lateness of pictures and arm that its commissioning has measured; None: none.
 
     ``controller``: one of the service's, or the oracle, which moves by the true error: its remaining cost is the first
@@ -135,9 +136,9 @@ class Outcome:
 
     ``inserted``: a true claim. ``claimed``: what the client believes. ``in_gap``: the ground truth, claimed or not.
     ``shortfalls``: the evidence against insertion. ``grasps``: number of grasps. ``void``: the physics failed.
-    ``seconds``: where the time went, see `Seconds`. ``fault_acted``: whether its fault took effect. ``unseen_mm``: the
-    furthest descent after the capture of one judged frame and before the next, where the client's lease allows
-    ``unseen_allowed_mm``.
+    ``seconds``: where the time went, see `Seconds`; empty if it never began. ``fault_acted``: whether its fault took
+    effect. ``unseen_mm``: the furthest descent after the capture of one judged frame and before the next, where the
+    client's lease allows ``unseen_allowed_mm``.
     """
 
     inserted: bool

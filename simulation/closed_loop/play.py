@@ -231,9 +231,7 @@ class Insertion:
                 if isinstance(command.message, LearnOpen):
                     self._hear(self.session.on_pair(self.cell.open_pair(), self.cell.now_ns))
             case Grasp():
-                held = self.cell.scene.object
-                width_mm = held.held_size_y_mm or held.size_y_mm
-                self._events.append(Grasped(at_s=self.cell.now_s, width_mm=width_mm))
+                self._events.append(Grasped(at_s=self.cell.now_s, width_mm=self.cell.scene.object.held_width_mm))
             case Hold():
                 if self.cell.moving:
                     self.cell.hold()
@@ -277,7 +275,7 @@ def stage(job: Job, models: ModelSet) -> Insertion:
     )
     plan = insertion.state.plan
     known = {"purpose": job.purpose, "lease": plan.lease.late_by(job.late_s)}
-    signs_known = plan.signs_known and job.commissioned
+    signs_known = job.commissioned and job.purpose == "insert"
     insertion.state = State(plan.model_copy(update={**known, "signs_known": signs_known}))
     return insertion
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 
 from service.contract import FINGERS, Finger
+from service.contract.wire import CameraEntry
 from service.decision.attempt import Attempt
 from service.decision.claim import pressed_mm
 from service.decision.models import ModelSet
@@ -20,7 +21,9 @@ def session_of(
 ) -> InsertionSession:
     """A new session; the oracle's moves replace a belief's."""
     left, right = (_finger(models, cell, index, perception, troubles) for index in range(2))
-    return InsertionSession(models, left, right, controller_name="belief" if controller == "oracle" else controller)
+    seen = [CameraEntry(finger=one, source="simulated", state="live", frame_rate_hz=cell.scene.fps) for one in FINGERS]
+    name = "belief" if controller == "oracle" else controller
+    return InsertionSession(models, left, right, controller_name=name, cameras=lambda: tuple(seen))
 
 
 def _finger(

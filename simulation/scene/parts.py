@@ -92,6 +92,11 @@ class HeldObject(Part):
         return shapes.held_profile(self.held_shape, *self.held_sizes_mm, self.held_corner_radius_mm)
 
     @property
+    def held_width_mm(self) -> float:
+        """Distance of the held sides, mm, and so of the fingers' pads."""
+        return 2.0 * float(self.held_profile[0])
+
+    @property
     def held_faces(self) -> NDArray[np.float64] | None:
         """Held sides of a polygon as in `shapes.faces`; None where `held_profile` describes it completely."""
         section = self._held_polygon

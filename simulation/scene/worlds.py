@@ -5,6 +5,7 @@ world file states everything about the cell except the object, and takes precede
 the registry of named objects.
 """
 
+import zlib
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -58,6 +59,11 @@ class World:
     name: str = "as_trained"
     changes: Mapping[str, Any] = field(default_factory=dict)
     unstated: Unstated = field(default_factory=Unstated)
+
+    @property
+    def number(self) -> int:
+        """A number from its name, for the seeds of what is drawn in it."""
+        return zlib.crc32(self.name.encode())
 
     def around(self, scene: Scene) -> Scene:
         """The object's scene in this world. Raises SceneError where the two do not fit."""

@@ -33,6 +33,7 @@ from simulation.scene import drawn
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import World
 from simulation.studies.episodes import Episode, play
+from simulation.studies.lateness import timed
 from simulation.studies.pace.points import client, with_care
 from simulation.studies.wiring import by_corner, carried_out, named_mistakes, probes, touched
 
@@ -42,7 +43,7 @@ COUNTED = (
 )
 AFTER_WORK = "after_work"
 VERSIONS = ("released", "after_50", "after_150", AFTER_WORK)
-PROBES, WORK, SCORING = 1, 2, 3
+PROBES, WORK, SCORING, TIMING = 1, 2, 3, 4
 FEW = 50
 REFUSED, STAYS = 2, 3
 """Exit statuses of `training adapt`: invalid input, such as nothing to learn from, and a release that stays."""
@@ -75,6 +76,7 @@ class Cell:
     folder: Path
     seed: int
     cell: str = ""
+    late_s: float | None = None  # of pictures and arm, once it is measured
 
     def jobs(self, count: int, purpose: int) -> list[Row]:
         """``count`` starts, object after object, drawn separately for each purpose."""
@@ -105,7 +107,8 @@ class Cell:
         return rows
 
     def _asked(self, name: str) -> Row:
-        return {"cell": self.cell, "client": with_care(client(), self.world, name)}
+        given = with_care(client(), self.world, name, self.late_s)
+        return {"cell": self.cell, "client": given, "late_s": self.late_s}
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,7 @@ def commission(cell: Cell, plan: Plan) -> Row:
     """Probe, adapt and work in one cell; returns its row, see ``python -m simulation commission --help``.
 
     A cell with a mistake stops there: no version is played, and all its counts are 0. ``wired_right``: whether it has
-    none in truth.
+    none in truth. ``late``: what presses at two speeds tell; everything after them reckons with it.
     """
     signs, folder = _asked_for_signs(cell, plan)
     labelled = [folder / f"{index:05d}" for index in range(len(signs))]
@@ -139,6 +142,9 @@ def commission(cell: Cell, plan: Plan) -> Row:
     if row["mistakes_named"] or not plan.probes:
         row |= {name: {**dict.fromkeys(COUNTED, 0), **dict.fromkeys(COUNTED[2:7])} for name in VERSIONS}
         return {**row, "robot_minutes": _minutes(signs), "adapt_s": 0.0, "accepted": False, "verdicts": {}}
+    name = next(iter(by_corner(cell.objects)))
+    row["late"] = timed(cell.world, name, hash_seed(cell.seed, TIMING), plan.models, cell=cell.cell)
+    cell = replace(cell, late_s=row["late"]["late_s"])
     probes = _played(cell, plan, "probes", cell.probes(max(0, plan.probes - len(signs))))
     labelled += [cell.folder / "probes" / f"{index:05d}" for index in range(len(probes))]
     if plan.work:

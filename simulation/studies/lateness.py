@@ -65,11 +65,14 @@ def _pressed(insertion: Insertion, plan: Plan) -> StopWatch:
 
 def lateness(worlds: Sequence[World], objects: Mapping[str, Scene], seed: int, models: Path, workers: int) -> list[Row]:
     """`timed` in each world in which an object can be held, with the one that turns most about its first corner."""
-    todo = []
-    for number, world in enumerate(worlds):
-        held = held_in(world, objects)
-        if name := next((name for name in by_corner(objects) if name in held), ""):
-            todo.append(partial(timed, world, name, hash_seed(seed, number), models))
+    held = [(world, held_in(world, objects)) for world in worlds]
+    cells = [(world, next(name for name in by_corner(objects) if name in held)) for world, held in held if held]
+    return timed_each(cells, seed, models, workers)
+
+
+def timed_each(cells: Sequence[tuple[World, str]], seed: int, models: Path, workers: int) -> list[Row]:
+    """`timed` in each world, with the object named beside it."""
+    todo = [partial(timed, world, name, hash_seed(seed, n), models) for n, (world, name) in enumerate(cells)]
     return list(shown("lateness of each world (simulated)", results(call, todo, workers, in_order=True), len(todo)))
 
 

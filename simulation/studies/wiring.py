@@ -35,7 +35,7 @@ def probes(world: World, name: str, seed: int, **job: Any) -> list[Row]:
     arm = world.unstated
     starts = [(x_mm * arm.x_sign, theta_deg * arm.yaw_sign) for x_mm, theta_deg in SIDES]
     return [
-        job_in(world, name, index, start, hash_seed(seed, SIGNS, index), purpose="probe", **job)
+        job_in(world, name, index, start, hash_seed(seed, SIGNS, world.number, index), purpose="probe", **job)
         for index, start in enumerate(starts)
     ]
 

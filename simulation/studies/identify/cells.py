@@ -83,7 +83,7 @@ def _job(
     cell: Cell, world: World, body: Path, which: tuple[tuple[float, float], int, int], grip_n: float
 ) -> dict[str, Any]:
     start, index, group = which
-    tables = dict(with_care(client(), world, str(body)))
+    tables = dict(with_care(client(), world, str(body), None))
     if cell.play != "whole":
         tables["task"] = {"approach_clearance_mm": CLOSER_MM}
     job = job_in(world, str(body), index, start, cell.number * 16 + group * 4 + index, client=tables, purpose="probe")

@@ -6,11 +6,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from robot_client.insertion.lease import Lease
 from service.contract.wire import PRESS_MM
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.client import longest_travel_mm
 from simulation.closed_loop.job import Who
-from simulation.scene.drawn import fastest_mm_s
 from simulation.scene.scene import APPROACH_MM
 from simulation.scene.worlds import World, load_scene
 from simulation.studies.drawn_worlds import Start
@@ -87,10 +87,13 @@ POINTS = (
 """Before and as released; then the release with one default changed; then choices that only some cells can run."""
 
 
-def tasks(points: Sequence[Point], begun: Sequence[Start], seed: int, models: Path) -> list[Task]:
+def tasks(
+    points: Sequence[Point], begun: Sequence[Start], seed: int, models: Path, late_s: Sequence[float | None]
+) -> list[Task]:
     """Every start at each point, one start by all points, then the next; the client sends a measured shear reach.
 
-    A world keeps everything but the speed of its arm; no point is faster in it than a cell is run with care.
+    A world keeps everything but the speed of its arm. ``late_s``: what each start's commissioning has measured; without
+    that (None) a client refuses to insert, and the start is not played.
     """
     return [
         Task(
@@ -100,22 +103,24 @@ def tasks(points: Sequence[Point], begun: Sequence[Start], seed: int, models: Pa
                 seed * 1_000_000 + index,
                 controller=point.controller,
                 condition=point.name,
-                client=with_care(point.client, start.world, start.scene),
+                client=with_care(point.client, start.world, start.scene, late),
                 given_reach=True,
+                late_s=late,
             ),
         )
-        for index, start in enumerate(begun)
+        for index, (start, late) in enumerate(zip(begun, late_s, strict=True))
         for point in points
+        if late is not None
     ]
 
 
-def with_care(tables: Tables, world: World, scene: str) -> Tables:
-    """Tables of a client, no faster than cameras and stop of a world allow; see `drawn.fastest_mm_s`."""
-    late_s = 1e-3 * world.changes.get("camera.latency_ms", 0.0) + world.unstated.stop_lag_s
-    top_mm_s = fastest_mm_s(world.around(load_scene(scene)).fps, late_s)
+def with_care(tables: Tables, world: World, scene: str, late_s: float | None) -> Tables:
+    """Tables of a client that probes no faster than the cameras of a world and its measured lateness, if any, allow.
+
+    A client slows down its fast legs by itself.
+    """
+    top_mm_s = Lease().late_by(late_s).fastest_mm_s(world.around(load_scene(scene)).fps)
     slowed: dict[str, Any] = json.loads(json.dumps(tables))
-    descend, pace = slowed["ramps"]["descend"], slowed["pace"]
+    descend = slowed["ramps"]["descend"]
     descend["speed_mm_s"] = min(descend["speed_mm_s"], top_mm_s)
-    pace["fast_mm_s"] = min(pace["fast_mm_s"], top_mm_s)
-    pace["fast_travel_mm"] = longest_travel_mm(pace["fast_mm_s"])
     return slowed

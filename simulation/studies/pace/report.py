@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from reporting.page import page, publish
 from reporting.statistics import Estimate, mean, number
+from robot_client.insertion.seconds import PARTS
 from simulation.closed_loop.statistics import Row, claimed_wrongly
 from simulation.studies.pace.figures import EARLY, figures
 from simulation.studies.pace.front import beaten_by, front
@@ -67,7 +68,7 @@ def _point(point: Point, rows: Sequence[Row], first: Sequence[Row]) -> Row:
         "seconds_a_box": list(a_box(rows)),
         "faster": list(faster(rows, first)),
         "seconds": _spread(totals),
-        "parts": {part: _spread([row["seconds"][part] for row in rows]) for part in rows[0]["seconds"]},
+        "parts": {part: _spread([row["seconds"].get(part, 0.0) for row in rows]) for part in PARTS},
         "force_n": _spread(forces) | {"largest": max(forces)},
         "force_95_n": list(upper(forces)),
         "harder_n": list(mean(harder)),

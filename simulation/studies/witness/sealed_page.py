@@ -170,8 +170,6 @@ def cause(row: Row) -> str:
     """Why an insertion failed, in one line."""
     if row["claimed"]:
         return f"claimed, but {re.sub(NUMBER, 'x', row['shortfalls'][0]) if row['shortfalls'] else 'not held'}"
-    if row["void"]:
-        return "no equilibrium was found"
     if row["reason"]:
         return ": ".join(str(row["reason"]).split(": ")[:2])[:90]
     return "trials used up" if row["grasp_kept"] else "the object left the grasp"

@@ -103,11 +103,28 @@ def test_the_lease_of_a_fast_descent_keeps_both_ways_in_mm():
     assert state.phase is Phase.FAILED
 
 
-@pytest.mark.parametrize("rate_hz", [25.0, 30.0])
-def test_with_cameras_too_slow_for_it_the_descent_is_slow_all_the_way(rate_hz):
+@pytest.mark.parametrize(("rate_hz", "fast_mm_s"), [(37.0, 14.92), (30.0, 13.64), (25.0, 12.5)])
+def test_with_cameras_too_slow_for_it_the_fast_legs_are_slower(rate_hz, fast_mm_s):
+    """A lease of 2.5 mm is for 25 mm/s; below 15 mm/s it is 1.5."""
     _, commands = begun(FAST, rate_hz)
-    assert descent(commands).legs == ()
-    assert descent(commands).until_s == pytest.approx(FAST.lease.lasts_s(10.0))
+    move = descent(commands)
+    assert [speed for _, speed in move.legs] == pytest.approx([fast_mm_s, 10.0, fast_mm_s], abs=0.01)
+    assert fast_mm_s * (move.until_s + FAST.lease.stop_lag_s) <= 1.5 + 1e-2
+    assert move.until_s >= 1.5 / rate_hz, "and still lasts a frame and a half"
+
+
+@given(st.floats(1.0, 25.0), st.floats(1.0, 2.5), st.floats(0.0, 0.3), st.one_of(st.none(), st.floats(5.0, 200.0)))
+def test_no_fast_leg_is_allowed_further_than_its_lease_or_faster_than_it_was_set(fast_mm_s, travel_mm, late_s, rate_hz):
+    pace = Pace(fast_mm_s=fast_mm_s, fast_travel_mm=travel_mm)
+    plan = FAST.at_speed(4.0).model_copy(update={"pace": pace, "lease": FAST.lease.late_by(late_s)})
+    legs = plan.with_legs_for([camera(rate_hz)])
+    assert legs.with_legs_for([camera(rate_hz)]) == legs
+    if legs.pace.fast_mm_s is None:
+        return
+    assert plan.ramps.descend.speed_mm_s < legs.pace.fast_mm_s <= fast_mm_s
+    assert legs.fast_lease.travel_mm <= travel_mm
+    legs.fast_lease.check(legs.pace.fast_mm_s)
+    legs.fast_lease.check_rate(legs.pace.fast_mm_s * (1.0 - 1e-9), camera(rate_hz))
 
 
 def test_what_ships_is_slow_only_around_the_tops_and_keeps_its_lease_on_every_leg():
@@ -155,12 +172,12 @@ def test_after_a_pause_in_the_descent_the_next_speed_is_told_as_much_later():
     state, _ = begun(FAST.model_copy(update={"pause_s": PAUSE_S}))
     due_s = state.speeds[0][0]
     state, _ = step(state, service(watching(1, 0.19), 0.2))
-    assert state.speeds[0][0] == pytest.approx(due_s + 0.2 - FAST.lasts_s(fast=True), abs=1e-3)
+    assert state.speeds[0][0] == pytest.approx(due_s + 0.2 - FAST.lasts_s, abs=1e-3)
 
 
 def test_a_leg_that_is_due_while_the_arm_stands_is_told_when_the_arm_has_gone_on_and_reached_it():
     state, _ = begun(FAST)
-    due_s, lasts_s = state.speeds[0][0], FAST.lasts_s(fast=True)
+    due_s, lasts_s = state.speeds[0][0], FAST.lasts_s
     ends_s = due_s - 0.02
     for seen_s in (0.5 * (ends_s - lasts_s), ends_s - lasts_s):
         state, _ = step(state, service(watching(1, seen_s), seen_s))

@@ -42,7 +42,7 @@ def test_a_cell_whose_lateness_is_neither_measured_nor_set_inserts_nothing(tmp_p
     [
         (None, True, "not measured: for the 40 ms set, the lease lasts 260 ms"),
         (0.09, True, "late by at most 90 ms: the lease lasts 210 ms"),
-        (0.2, True, "lasts 100 ms, too short for 10 mm/s: it descends at the probing speed all the way"),
+        (0.2, True, "lasts 100 ms, too short for 10 mm/s: fast legs are slower, or there are none"),
         (0.29, False, "descend more slowly than 4.8 mm/s"),
     ],
 )
@@ -78,15 +78,21 @@ def test_a_lateness_that_uses_up_the_lease_is_refused_with_the_speed_that_would_
     late.at_speed(9.0).check()
 
 
-@pytest.mark.parametrize(("late", "fast"), [(0.1, True), (0.15, False)])
-@pytest.mark.parametrize("rate_hz", [None, 200.0])
-def test_a_cell_too_late_for_the_fast_legs_descends_slowly_all_the_way(late, fast, rate_hz):
+@pytest.mark.parametrize(
+    ("late", "rate_hz", "fast_mm_s"),
+    [(0.1, None, 10.0), (0.15, None, None), (0.1, 200.0, 10.0), (0.15, 200.0, 8.45), (0.275, 200.0, None)],
+)
+def test_the_fast_legs_of_a_late_cell_are_as_slow_as_its_lease_demands(late, rate_hz, fast_mm_s):
+    """Without the cameras' rate it is not known what the lease bears."""
     plan = PLAN.at_speed(5.0).model_copy(
         update={"lease": PLAN.lease.late_by(late), "pace": Pace(fast_mm_s=10.0), "pause_s": PAUSE_S}
     )
     plan.check()
     camera = wire.CameraEntry(finger="left", source="s", state="live", frame_rate_hz=rate_hz)
-    assert plan.bears_fast([camera]) == fast
+    legs = plan.with_legs_for([camera])
+    assert legs.pace.fast_mm_s == (fast_mm_s and pytest.approx(fast_mm_s, abs=0.01))
+    if fast_mm_s:
+        assert fast_mm_s * (legs.lasts_s + late) <= 1.5 + 1e-2
 
 
 @pytest.mark.parametrize("stay", [False, True])

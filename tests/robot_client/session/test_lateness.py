@@ -109,7 +109,7 @@ def test_a_press_is_kept_with_its_speed_its_age_and_where_the_arm_stood(order):
 def test_a_press_in_which_the_arm_stood_for_want_of_a_frame_tells_nothing(judged_s, kept):
     """Its target stood, so its travel is not its speed times the time: it would seem hardly late at all."""
     pairs = [service(watching(1, at_s), at_s) for at_s in judged_s]
-    lasts_s = PLAN.lasts_s(fast=False)
+    lasts_s = PLAN.lasts_s
     order = service(ENOUGH.model_copy(update={"captured_ns": 150_000_000}), 0.1 + lasts_s + 0.01)
     state, stop = watched(*pairs, order, at(APPROACH.at_height(28.0), Standstill))
     assert (state.phase, stop is not None) == (Phase.DECIDING, kept)

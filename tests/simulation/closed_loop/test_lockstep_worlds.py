@@ -188,8 +188,9 @@ def test_a_cell_whose_signs_are_known_straightens_what_another_has_to_regrasp() 
     assert ends[True][1] < ends[False][1], "a regrasp takes longer"
 
 
-def test_a_miswired_or_uncommissioned_cell_knows_no_signs() -> None:
-    miswired = [({"mirrored": (True, False)}, True, False), ({"x_sign": -1}, True, False)]
+def test_a_cell_that_was_not_commissioned_knows_no_signs_and_a_miswired_one_takes_them_for_known() -> None:
+    """On a cell, too, a record without a mistake is all that the client has."""
+    miswired = [({"mirrored": (True, False)}, True, True), ({"x_sign": -1}, True, True)]
     for unstated, commissioned, known in [({}, True, True), ({}, False, False), *miswired]:
         job = Job("rectangle", 0, 8.0, 6.0, 3, "belief", "fields", unstated=unstated, commissioned=commissioned)
         assert stage(job, models_of(released_models())).state.plan.signs_known == known

@@ -26,7 +26,7 @@ def test_a_probe_whose_object_hangs_askew_is_repeated_in_a_new_grasp_and_only_th
     world = drawn.world(tables, "soft gel")
     hexagon = tmp_path / "hexagon.toml"
     hexagon.write_text(HEXAGON)
-    given = with_care(client(), world, str(hexagon))
+    given = with_care(client(), world, str(hexagon), None)
     job = job_in(world, str(hexagon), 3, (1.2, -6.94), 3844133872, client=given, purpose="probe")
     row = play(Episode(tmp_path / "probe", released_models(), job))
     assert (row["reason"], row["grasps"], row["attempts"]) == ("", 2, 1)
@@ -40,7 +40,7 @@ def test_a_probe_in_which_the_arm_paused_is_repeated_in_a_new_grasp_and_only_tha
     tables["gel"]["tier"] = "bristle"
     tables["camera"] |= {"fps": 16.0, "dropped_share": 0.2}
     world = drawn.world(tables, "slow cameras")
-    given = with_care(client(), world, "rectangle")
+    given = with_care(client(), world, "rectangle", None)
     job = job_in(world, "rectangle", 0, (8.0, 8.0), 5, client=given, purpose="probe")
     row = play(Episode(tmp_path / "probe", released_models(), job))
     assert (row["reason"], row["grasps"], len(row["trials"])) == ("", 2, 1)
@@ -55,7 +55,7 @@ def test_an_insertion_with_regrasps_teaches_what_its_last_grasp_shows_as_on_a_ce
     tables = drawn.draw_worlds(12, 105)[4]
     tables["gel"]["tier"] = "bristle"
     world = drawn.world(tables, "soft gel")
-    given = with_care(client(straightens=False), world, "rectangle")
+    given = with_care(client(straightens=False), world, "rectangle", None)
     row = play(
         Episode(
             tmp_path / "work", released_models(), job_in(world, "rectangle", index, start, 50 + index, client=given)

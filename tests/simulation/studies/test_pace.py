@@ -3,6 +3,7 @@
 import json
 import tomllib
 from collections import Counter
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from robot_client.cli.insert import make_plan
 from robot_client.insertion.events import Begin
+from robot_client.insertion.lease import Lease
 from robot_client.insertion.machine import Phase, State, step
 from robot_client.settings import load_settings
 from service.contract.shipped import released_models
@@ -58,7 +60,7 @@ def point(name="a", seconds=4.0, inserted=48, wrong=0, force=20.0):
 
 def test_every_choice_begins_from_the_same_starts_in_the_same_worlds():
     begun = [Start(World(), name, 1.0, 2.0, 1.0) for name in ("circle", "can")]
-    todo = tasks(POINTS, begun, 5, Path("m"))
+    todo = tasks(POINTS, begun, 5, Path("m"), [0.1, 0.2])
     same = ("scene", "index", "x_mm", "theta_deg", "seed", "changes", "unstated", "given_reach")
     for place in range(0, len(todo), len(POINTS)):
         mine = [{key: task.job[key] for key in same} for task in todo[place : place + len(POINTS)]]
@@ -73,11 +75,20 @@ def test_what_ships_is_a_choice_that_was_played():
 
 
 def test_no_choice_is_faster_in_a_world_than_its_cameras_bear():
-    slow = Start(World(changes={"camera.fps": 10.0, "camera.latency_ms": 100.0}), "circle", 0.0, 0.0, 1.0)
-    for point in POINTS:
-        tables = with_care(point.client, slow.world, slow.scene)
-        assert tables["pace"]["fast_mm_s"] < 8.0
-        assert tables["ramps"]["descend"]["speed_mm_s"] < 8.0
+    slow = Start(World(changes={"camera.fps": 10.0}), "circle", 0.0, 0.0, 1.0)
+    for point, late_s in product(POINTS, (None, 0.1, 0.25)):
+        tables = with_care(point.client, slow.world, slow.scene, late_s)
+        bears_mm_s = Lease().late_by(late_s).fastest_mm_s(10.0)
+        assert tables["ramps"]["descend"]["speed_mm_s"] == min(
+            point.client["ramps"]["descend"]["speed_mm_s"], bears_mm_s
+        )
+
+
+def test_a_start_whose_lateness_was_not_measured_is_not_played_as_no_client_would_insert_there():
+    begun = [Start(World(), name, 1.0, 2.0, 1.0) for name in ("circle", "can")]
+    todo = tasks(POINTS, begun, 5, Path("m"), [None, 0.1])
+    assert {(task.job["scene"], task.job["late_s"]) for task in todo} == {("can", 0.1)}
+    assert len(todo) == len(POINTS)
 
 
 @pytest.mark.parametrize("chosen", POINTS, ids=lambda point: point.name)
