@@ -116,7 +116,7 @@ test-lowest: ## all modules and some tests with the lowest versions that pyproje
 	uv pip install -q --python $(LOWEST_VENV)/bin/python --resolution lowest-direct --override requirements/no-torch.txt \
 	  -r pyproject.toml --extra training
 	$(LOWEST_VENV)/bin/python -m tests.import_everything
-	$(LOWEST_VENV)/bin/python -m export verify $(MODELS)
+	$(LOWEST_VENV)/bin/python -m export verify $(MODELS)/pressing
 	$(LOWEST_VENV)/bin/python -m simulation probe rectangle --x-mm 8 --theta-deg 5
 	uv pip install -q --python $(LOWEST_VENV)/bin/python pytest pytest-timeout pytest-xdist hypothesis jsonschema-rs
 	$(LOWEST_VENV)/bin/python -m pytest -n 2 --timeout=600 -m "not slow" -o filterwarnings= $(LOWEST_TESTS)

@@ -97,8 +97,11 @@ class RunConfig(AnyRun):
         """As for every run; an unknown kind of network is refused with the nearest known one."""
         config = super().load(path)
         try:
-            if network_class(config.network.kind).reads_steps and not config.network.affine_fit:
+            network = network_class(config.network.kind)
+            if network.reads_steps and not config.network.affine_fit:
                 raise ContractError("network.affine_fit is false, networks that read steps of depth need it")
+            if config.front.epochs + config.tune.epochs and (network.reads_markers or network.reads_steps):
+                raise ContractError(f"[front] and [tune] train on pictures, which {config.network.kind} does not read")
         except ContractError as error:
             raise ContractError(f"{path}: {error}") from error
         return config

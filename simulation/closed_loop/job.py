@@ -138,7 +138,7 @@ class Outcome:
     ``shortfalls``: the evidence against insertion. ``grasps``: number of grasps. ``void``: the physics failed.
     ``seconds``: where the time went, see `Seconds`; empty if it never began. ``fault_acted``: whether its fault took
     effect. ``unseen_mm``: the furthest descent after the capture of one judged frame and before the next, where the
-    client's lease allows ``unseen_allowed_mm``.
+    client's lease allows ``unseen_allowed_mm``. ``grasp_height_mm``: as the client states it.
     """
 
     inserted: bool
@@ -157,6 +157,7 @@ class Outcome:
     fault_acted: bool = False
     unseen_mm: float = 0.0
     unseen_allowed_mm: float = 0.0
+    grasp_height_mm: float | None = None
 
     @classmethod
     def never_began(cls, job: Job, reason: str, *, void: bool = False) -> "Outcome":

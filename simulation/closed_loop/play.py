@@ -119,6 +119,7 @@ class Insertion:
             shortfalls=cell.state.shortfalls,
             fault_acted=any(trouble.struck for trouble in troubles),
             unseen_mm=self.unseen.most_mm,
+            grasp_height_mm=self.state.plan.grasp_height_mm,
             unseen_allowed_mm=max(self.state.plan.lease.travel_mm, self.state.plan.fast_lease.travel_mm),
         )
 

@@ -21,9 +21,11 @@ def session_of(
 ) -> InsertionSession:
     """A new session; the oracle's moves replace a belief's."""
     left, right = (_finger(models, cell, index, perception, troubles) for index in range(2))
-    seen = [CameraEntry(finger=one, source="simulated", state="live", frame_rate_hz=cell.scene.fps) for one in FINGERS]
+    entries = [
+        CameraEntry(finger=one, source="simulated", state="live", frame_rate_hz=cell.scene.fps) for one in FINGERS
+    ]
     name = "belief" if controller == "oracle" else controller
-    return InsertionSession(models, left, right, controller_name=name, cameras=lambda: tuple(seen))
+    return InsertionSession(models, left, right, controller_name=name, cameras=lambda: tuple(entries))
 
 
 def _finger(

@@ -62,15 +62,14 @@ def folds_of(groups: NDArray[np.str_], seed: int) -> list[Rows]:
 
 
 def calibrated(stage: StageName, scales: Scales, sample: Predictions | Densities) -> Scales:
-    """Scales that fit the predictions of held-out samples, pulled to the release's; from probes if there are any.
+    """Scales that fit the predictions of held-out samples, pulled to the release's.
 
-    Calibration alone makes a network no surer, as it proves no gain. Nor does work. The error of a working
-    insertion is known only to within the gap's clearance; where it was in there is the release's own opinion.
+    Calibration alone makes a network no surer, as it proves no gain. Nor does work, also with a few probes beside it.
+    The error of a working insertion is known only to within the gap's clearance; where it was in there is the release's
+    own opinion.
     """
-    known = sample.objects == PROBE
-    if hindsight := not known.any():
-        known = ~known
-    fitted, share = sample.take(known).calibration(), _share(int(known.sum()), SCALES_PULL_N)
+    hindsight = bool((sample.objects != PROBE).any())
+    fitted, share = sample.calibration(), _share(len(sample.objects), SCALES_PULL_N)
 
     def pulled(name: str) -> float:
         was = float(getattr(scales, name))

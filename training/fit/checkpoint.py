@@ -3,7 +3,7 @@
 import hashlib
 import io
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +103,15 @@ class Checkpoint:
             raise ContractError(f"checkpoint {path}: {first_error(error)}") from error
         except Exception as error:  # torch raises pickle, zip and key errors of many kinds on a damaged file
             raise ContractError(f"checkpoint {path} is damaged or not one of ours: {type(error).__name__}") from error
+
+    def known_from(self, path: Path) -> "Checkpoint":
+        """With the commit and the measured creep of the one at ``path``, if that is the same network; ContractError."""
+        if not path.exists():
+            return self
+        before = Checkpoint.load(path)
+        if before.weights_sha256() != self.weights_sha256():
+            return self
+        return replace(self, git_commit=before.git_commit, expectations=before.expectations)
 
     def weights_sha256(self) -> str:
         """Hash of the weights alone: it does not change with the figures or the commit."""

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from reporting.files import read_rows
 from service.contract import ContractError
+from service.contract.frames import first_error
 from service.contract.model_card import Expectations
 
 Floats = NDArray[np.float64]
@@ -20,7 +22,6 @@ MISPLACED = (2.0, 2.0)
 """Usual errors of a cell's frames, mm and deg: a start may lie this far beyond those collected."""
 FEWEST = 40
 LEVER_FROM_MM = 30.0
-UNSTATED_HEIGHT_MM = 30.0  # grasp height of a world that states none
 LEAST_SPREAD_MM, LEAST_SPREAD_DEG = 0.2, 0.2
 _STILL_MM = 0.3  # below this, the side of an error has no meaning
 
@@ -35,8 +36,9 @@ def of_errors(error: Floats, given: Expectations) -> Expectations:
 def of_insertions(paths: Iterable[Path], given: Expectations) -> Expectations:
     """``given`` with the creep of played attempts; ContractError where there are too few.
 
-    Each path is a log of `python -m simulation evaluate`. Medians and median deviations are used: a few attempts that
-    slipped far are no creep.
+    Each path is a log of `python -m simulation evaluate`, of one controller with one state of networks and code. An
+    oracle's moves are no answer to what these networks read, so its log is refused. Medians and median deviations are
+    used: a few attempts that slipped far are no creep.
     """
     steps = np.array([step for path in paths for step in _played(path)], np.float64)
     if len(steps) < FEWEST:
@@ -56,7 +58,12 @@ def of_insertions(paths: Iterable[Path], given: Expectations) -> Expectations:
         "creep_near_more_mm": max(0.0, near_spread - far_spread),
         "creep_theta_deg": theta_spread,
     }
-    return Expectations.model_validate(given.model_dump() | measured)
+    try:
+        return Expectations.model_validate(given.model_dump() | measured)
+    except ValidationError as error:
+        raise ContractError(
+            f"the creep in these logs is none that a belief can expect: {first_error(error)}"
+        ) from error
 
 
 def _played(path: Path) -> list[tuple[float, float, float, float]]:
@@ -75,6 +82,12 @@ def _rows(path: Path) -> list[dict[str, Any]]:
         rows = []
     if not rows:
         raise ContractError(f"{path}: expected the .insertions.jsonl of an evaluation, no insertion in it")
+    played = {(str(row.get("controller")), str(row.get("made_by"))) for row in rows}
+    if len(played) > 1 or played & {("oracle", made_by) for _, made_by in played}:
+        who = ", ".join(sorted({f"{controller} ({made_by[:8]})" for controller, made_by in played}))
+        raise ContractError(
+            f"{path} holds insertions of {who}: expected one controller, no oracle, with one state of code"
+        )
     return rows
 
 
@@ -83,7 +96,7 @@ def _steps(row: Mapping[str, Any]) -> Iterator[tuple[float, float, float, float]
 
     Attempts count from 1 again in a new grasp, in which nothing of the earlier creep is left.
     """
-    height_mm = row["changes"].get("grasp.height_mm", UNSTATED_HEIGHT_MM)
+    height_mm = float(row["grasp_height_mm"])
     for one, following in zip(row["trials"], row["trials"][1:], strict=False):
         if following["decision"]["attempt"] != one["decision"]["attempt"] + 1:
             continue

@@ -277,8 +277,10 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
         pressing=pressing,
         expectations=expectations,
     )
+    path = folder / "checkpoint.pt"
+    checkpoint = checkpoint.known_from(path)
     if parallel.first():
-        checkpoint.save(folder / "checkpoint.pt")
+        checkpoint.save(path)
     return checkpoint
 
 

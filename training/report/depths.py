@@ -15,7 +15,7 @@ from reporting.statistics import number, wilson
 from reporting.table import Table, table
 from service.contract import ContractError
 from training.adapt.stages import trainer_of
-from training.config import RunConfig
+from training.config import RunConfig, pin
 from training.data.dataset import open_source
 from training.data.faults import SHIFTS
 from training.data.pressed import Pressed
@@ -25,7 +25,7 @@ from training.fit.train import Trainer
 from training.metrics.figures import Predictions, figures, probabilities
 from training.networks.pressing import DECISION_STEPS, STEP_MM, STEPS, PressingNetwork
 from training.report.cameras import by_camera, camera_table
-from training.report.pressed_oracle import oracle_rows
+from training.report.pressed_oracle import STAGE, oracle_rows
 
 Rows = dict[str, dict[str, float]]
 MOST = 4000
@@ -51,7 +51,10 @@ def write_depths(run: Path, out: Path) -> Path:
     trainer = trainer_of(checkpoint.build(), samples)
     data: dict[str, Any] = {"depths": by_depth(trainer, checkpoint), "sure": by_sureness(trainer, checkpoint)}
     data["reach"] = by_reach(trainer, checkpoint)
-    limit = oracle_rows(open_source(config.data.path), run / "oracle")
+    source, oracle = open_source(config.data.path), run / "oracle"
+    oracle.mkdir(exist_ok=True)
+    pin(oracle, STAGE, samples.sha256)
+    limit = oracle_rows(source, oracle)
     data["cameras"] = by_camera(trainer, checkpoint.scales, open_source(config.data.path))
     data["limit"] = {f"{split}, true motion": limit[f"{split}/all"] for split in HELD if f"{split}/all" in limit}
     if checkpoint.pressing and checkpoint.pressing.strangeness_limit:

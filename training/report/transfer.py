@@ -30,7 +30,7 @@ Row = dict[str, Any]
 
 
 class Trained(Contract):
-    """One network: its checkpoint, how many presses of which cells it saw, and the CPU time of collecting one."""
+    """One network: its checkpoint, how many presses were collected for it, in which cells, and the CPU time of each."""
 
     name: str
     checkpoint: str
@@ -66,9 +66,12 @@ def write_transfer(plan: Path, out: Path) -> Path:
         test_set.name: load_pressed(DataConfig(path=test_set.data, views=1)) for test_set in comparison.test_sets
     }
     for one in comparison.trained:
-        learnt_from = Checkpoint.load(Path(one.checkpoint)).training_data_sha256
+        network = Checkpoint.load(Path(one.checkpoint))
+        if network.pressing is None:
+            kind = network.network.kind
+            raise ContractError(f"{plan}: {one.name} is a {kind} network, expected one that reads steps of depth")
         for name, presses in presses_of.items():
-            if presses.sha256 == learnt_from:
+            if presses.sha256 == network.training_data_sha256:
                 raise ContractError(f"{plan}: {one.name} was trained on the test set {name}; expected fresh presses")
     data = {
         "commit": commit(),

@@ -51,7 +51,7 @@ def test_the_released_networks_weigh_little():
     assert sum(file.stat().st_size for file in files if file not in new) < 15e6
 
 
-def test_released_models_verify(models):
+def test_exported_networks_verify(models):
     lines = verify(models, STEPS)
     assert sum(" = " in line for line in lines) == 1
     assert sum("1 against 64 in a batch" in line for line in lines) == 2
@@ -93,7 +93,7 @@ def test_what_the_service_refuses_does_not_verify(models, tmp_path, edit, named)
 
 @pytest.mark.slow
 def test_the_shipped_networks_verify_over_a_stream_of_10000_steps():
-    for folder in ("models", "models/joint", "models/pictures"):
+    for folder in ("models", "models/joint", "models/pictures", "models/pressing", "models/pressing/joint"):
         assert any("stream of 10000" in line for line in verify(Path(folder)))
 
 

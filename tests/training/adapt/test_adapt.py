@@ -11,7 +11,7 @@ from tests.training.data.test_episodes import recorded
 from tests.training.data.test_pressed import down
 from training.adapt.adapt import adapt, compare, hold_out
 from training.adapt.stages import calibrated
-from training.data.episodes import read_episodes
+from training.data.episodes import PROBE, WORK, read_episodes
 from training.data.labels import class_of
 from training.fit.checkpoint import Checkpoint
 from training.fit.train import train
@@ -104,15 +104,18 @@ def test_probes_that_say_nothing_never_make_a_surer_network(release, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("stage", "known_of", "surer"), [("gain", "probe", True), ("gain", "work", False), ("calibration", "probe", False)]
+    ("stage", "probes_n", "surer"),
+    [("gain", 60, True), ("gain", 0, False), ("gain", 19, False), ("calibration", 60, False)],
 )
-def test_only_a_fit_to_probes_makes_a_network_surer(stage, known_of, surer):
+def test_only_a_fit_to_probes_makes_a_network_surer(stage, probes_n, surer):
     """An insertion by a network's own moves agrees with it, whatever its error was."""
     rng, count = np.random.default_rng(0), 60
     truth = rng.uniform(-12, 12, (count, 2))
     error = truth + rng.normal(0.0, 0.2, truth.shape)
     logits = 9.0 * np.eye(9)[class_of(truth.astype(np.float32))]
-    predictions = Predictions(logits, error, np.zeros((count, 2)), truth, np.full(count, known_of))
+    predictions = Predictions(
+        logits, error, np.zeros((count, 2)), truth, np.where(np.arange(count) < probes_n, PROBE, WORK)
+    )
     before = Scales(1.2, 1.1, 1.0)
     after = calibrated(stage, before, predictions)
     for name in ("temperature", "sigma_x", "sigma_theta"):

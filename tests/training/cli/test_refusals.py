@@ -37,11 +37,7 @@ kind = "markers"
 trunk_width = 8
 feature_size = 16
 state_size = 16
-[front]
-epochs = 1
 [trunk]
-epochs = 1
-[tune]
 epochs = 1
 """
 

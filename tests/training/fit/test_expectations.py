@@ -15,15 +15,14 @@ from training.fit.expectations import of_errors, of_insertions
 USUAL = Expectations()
 
 
-def log_of(path, far_mm, near_mm, per_mm, rng, count=400, unstated_n=0):
+def log_of(path, far_mm, near_mm, per_mm, rng, count=400, played_by=()):
     """Insertions of two attempts whose object crept outwards by a given amount, a few of them far more.
 
-    The first ones are in a world that states no height, where objects are held at 30 mm. A new grasp follows each.
+    A new grasp follows each. ``played_by``: controller and code of the first ones.
     """
     with path.open("w") as file:
         for number in range(count):
             height_mm, x_mm = float(rng.uniform(30, 90)), float(rng.uniform(-14, 14))
-            height_mm = 30.0 if number < unstated_n else height_mm
             move = float(rng.uniform(-5, 5))
             crept = near_mm + per_mm * (height_mm - 30) if abs(x_mm) < USUAL.near_mm else far_mm
             crept += float(rng.normal(0, 0.2)) + (8.0 if rng.random() < 0.05 else 0.0)
@@ -33,8 +32,9 @@ def log_of(path, far_mm, near_mm, per_mm, rng, count=400, unstated_n=0):
                 {"error_before": [x_mm + move + np.sign(x_mm) * crept, 0.5], "decision": {"attempt": 4} | stays},
                 {"error_before": [far_off_mm, 9.0], "decision": {"attempt": 1} | stays},
             ]
-            changes = {} if number < unstated_n else {"grasp.height_mm": height_mm}
-            file.write(json.dumps({"changes": changes, "trials": trials}) + "\n")
+            controller, made_by = played_by[number] if number < len(played_by) else ("belief", "aa")
+            row = {"grasp_height_mm": height_mm, "controller": controller, "made_by": made_by, "trials": trials}
+            file.write(json.dumps(row) + "\n")
     return path
 
 
@@ -49,11 +49,27 @@ def test_planted_creep_is_found(tmp_path_factory, far_mm, near_mm, per_mm, seed)
     assert 0.1 <= expected.creep_spread_mm < 0.4
 
 
-def test_a_world_that_states_no_height_holds_at_30_mm(tmp_path):
-    log = log_of(tmp_path / "log.jsonl", 0.5, 0.2, 0.03, np.random.default_rng(1), count=800, unstated_n=500)
-    expected = of_insertions([log], USUAL)
-    assert expected.creep_near_mm == pytest.approx(0.2, abs=0.1)
-    assert expected.creep_near_mm_per_mm == pytest.approx(0.03, abs=0.003)
+@pytest.mark.parametrize("first", [("belief", "bb"), ("heuristic", "aa"), ("oracle", "aa")])
+def test_the_creep_of_several_networks_or_controllers_is_not_mixed_and_an_oracles_is_none(tmp_path, first):
+    log = log_of(tmp_path / "log.jsonl", 0.5, 0.2, 0.0, np.random.default_rng(1), played_by=[first])
+    with pytest.raises(ContractError, match=rf"holds insertions of .*{first[0]} \({first[1]}\)"):
+        of_insertions([log], USUAL)
+    alone = log_of(tmp_path / "alone.jsonl", 0.5, 0.2, 0.0, np.random.default_rng(1), 50, [("oracle", "aa")] * 50)
+    with pytest.raises(ContractError, match="no oracle"):
+        of_insertions([alone], USUAL)
+
+
+def test_a_creep_that_no_belief_can_expect_is_refused(tmp_path):
+    log = log_of(tmp_path / "log.jsonl", 40.0, 40.0, 0.0, np.random.default_rng(1))
+    with pytest.raises(ContractError, match="creep in these logs is none that a belief can expect: creep_mm"):
+        of_insertions([log], USUAL)
+
+
+def test_a_log_that_does_not_state_the_height_of_a_grasp_is_refused(tmp_path):
+    log = log_of(tmp_path / "log.jsonl", 0.5, 0.2, 0.0, np.random.default_rng(1))
+    log.write_text(log.read_text().replace("grasp_height_mm", "changes"))
+    with pytest.raises(ContractError, match="grasp_height_mm"):
+        of_insertions([log], USUAL)
 
 
 def test_a_line_that_a_kill_truncated_is_left_out(tmp_path):

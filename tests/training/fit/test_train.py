@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
 from export.onnx.to_onnx import why_untrained
 from service.contract import ContractError, Sensor
+from service.contract.model_card import Expectations
 from tests.full_disk import files_of_at_most
 from tests.training.synthetic import SyntheticSource
 from training.config import RunConfig, StageConfig, alone_in
@@ -119,6 +122,19 @@ def cheap(config):
     return config.model_copy(update={"data": data} | dict.fromkeys(("front", "tune"), StageConfig(epochs=0)))
 
 
+def test_a_finished_run_that_is_started_again_keeps_its_commit_and_the_creep_that_was_measured(cheap, source):
+    path = cheap.folder / "checkpoint.pt"
+    made = train(cheap, source)
+    creep = Expectations(creep_mm=0.07)
+    replace(made, git_commit="before", expectations=creep).save(path)
+    again = train(cheap, source)
+    assert (again.git_commit, again.expectations) == ("before", creep)
+    weights = {name: value + 1.0 for name, value in made.weights.items()}
+    replace(made, weights=weights, git_commit="before", expectations=creep).save(path)
+    other = train(cheap, source)
+    assert (other.git_commit, other.expectations) == (made.git_commit, made.expectations)
+
+
 def test_two_runs_are_not_trained_in_one_folder(cheap, source):
     """Each would overwrite what the other resumes from."""
     cheap.folder.mkdir(parents=True)
@@ -229,6 +245,10 @@ def test_a_checkpoint_of_another_architecture_is_refused(trained):
         ("name = 'x'\nseed = 4294967296\n[data]\npath='p'\n[trunk]\nepochs=1", "seed: expected a number >= 0 and <"),
         ("name = 'x'\n[data]\npath='p'\n[network]\nstate_size=10000\n[trunk]\nepochs=1", "state_size: .* <= 4096"),
         ("name = 'x'\n[data]\npath='p'\n[network]\nkind='pressing'\n[trunk]\nepochs=1", "affine_fit is false"),
+        (
+            "name = 'x'\n[data]\npath='p'\n[network]\nkind='markers'\n[trunk]\nepochs=1\n[tune]\nepochs=2",
+            "train on pictures, which markers does not read",
+        ),
     ],
 )
 def test_a_bad_config_is_named(tmp_path, text, message):

@@ -71,6 +71,12 @@ def test_a_network_that_was_trained_on_a_test_set_is_refused_by_name(tmp_path, m
     assert not (tmp_path / "transfer.json").exists()
 
 
+def test_a_network_that_reads_no_depth_is_refused_by_name(tmp_path, monkeypatch, presses):
+    replace(Checkpoint.load(RELEASE), pressing=None).save(tmp_path / "markers.pt")
+    with pytest.raises(ContractError, match="other is a pressing network, expected one that reads steps of depth"):
+        compared(tmp_path, monkeypatch, presses, tmp_path / "markers.pt")
+
+
 def test_a_plan_with_a_wrong_key_is_refused_by_name(tmp_path):
     plan = tmp_path / "plan.toml"
     plan.write_text(PLAN.format(release=RELEASE, other=RELEASE, data=tmp_path).replace("presses = 9400", "pokes = 3"))
