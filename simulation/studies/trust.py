@@ -112,9 +112,12 @@ def report_of(rows: Sequence[Row], late: Sequence[Row], setup: Mapping[str, Any]
     reasons = Counter(_short(row["reason"]) for row in rows if row["reason"])
     untrue = filter(claimed_wrongly, rows)
     keys = ("condition", "scene", "index", "seed", "shortfalls")
+    worlds = {_world(row) for row in rows}
     return {
         "simulated": True,
         "setup": dict(setup),
+        "worlds": len(worlds),
+        "worlds_wrong": len({_world(row) for row in rows if claimed_wrongly(row)}),
         "all": figures(rows),
         "late": list(late),
         "untrue": [{key: row[key] for key in keys} for row in untrue],
@@ -129,8 +132,12 @@ def _refused(good: Sequence[Row]) -> Estimate:
     worlds: dict[str, list[bool]] = defaultdict(list)
     for row in good:
         if row["in_gap"]:
-            worlds[row["condition"].rpartition(": ")[0]].append(not row["claimed"])
+            worlds[_world(row)].append(not row["claimed"])
     return clustered([sum(each) for each in worlds.values()], [len(each) for each in worlds.values()])
+
+
+def _world(row: Row) -> str:
+    return str(row["condition"].rpartition(": ")[0])
 
 
 def _wrong(row: Row) -> str:
@@ -142,25 +149,9 @@ def _short(reason: str) -> str:
 
 
 def trust_page(data: Row) -> str:
-    every, by_fault = data["all"], {row["fault"]: row for row in data["faults"]}
-    wrong, insertions, claims = every["claimed_wrongly"], every["insertions"], every["claimed"]
-    good = by_fault.get(WITHOUT, figures([]))
-    truths = good["inserted"] + good["good_refused"]
-    refused = Estimate(*data["refused"])
+    """The whole of docs/trust.md from trust.json."""
     return page(
-        f"""
-        # What a claim is worth, simulated
-
-        **{wrong} of {claims} claims were false: {wilson(wrong, claims):.2%}**. That is {wilson(wrong, insertions):.2%}
-        of {insertions} insertions. The upper end of the 95 % Wilson interval is the largest rate left possible.
-
-        Without a fault, {truths} insertions ended in the gap, and {good["good_refused"]} of those were not claimed:
-        {refused:.1%}; this interval is as wide as the worlds differ.
-
-        After a frame that was judged, the arm descended by at most {every["unseen_mm"]:.2f} mm before the next one was
-        judged or it stood, and in the worst case by {every["unseen_share"]:.2f} times what the lease allows at its
-        speed.
-        """,
+        _result(data),
         *_untrue(data["untrue"]),
         """
         ## How it was measured
@@ -191,6 +182,30 @@ def trust_page(data: Row) -> str:
         data.get("note", ""),
         "`make trust` plays the test with another seed and writes this page.",
     )
+
+
+def _result(data: Row) -> str:
+    every, by_fault = data["all"], {row["fault"]: row for row in data["faults"]}
+    wrong, insertions, claims = every["claimed_wrongly"], every["insertions"], every["claimed"]
+    wrong_n, worlds_n = data["worlds_wrong"], data["worlds"]
+    good = by_fault.get(WITHOUT, figures([]))
+    truths = good["inserted"] + good["good_refused"]
+    refused = Estimate(*data["refused"])
+    return f"""
+        # What a claim is worth, simulated
+
+        **{wrong} of {claims} claims were false: {wilson(wrong, claims):.2%}**. That is {wilson(wrong, insertions):.2%}
+        of {insertions} insertions. The upper end of the 95 % Wilson interval is the largest rate left possible. Whether
+        claims can be false depends on the world: {wrong_n} of {worlds_n} had a false one,
+        {wilson(wrong_n, worlds_n):.1%}.
+
+        Without a fault, {truths} insertions ended in the gap, and {good["good_refused"]} of those were not claimed:
+        {refused:.1%}; this interval is as wide as the worlds differ.
+
+        After a frame that was judged, the arm descended by at most {every["unseen_mm"]:.2f} mm before the next one was
+        judged or it stood, and in the worst case by {every["unseen_share"]:.2f} times what the lease allows at its
+        speed.
+        """
 
 
 def _late(rows: Sequence[Row]) -> str:

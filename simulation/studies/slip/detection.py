@@ -23,6 +23,7 @@ from service.perception.rectification import Rectifier
 from service.perception.slip.detector import SlipDetector, SlipSettings
 from service.perception.slip.onset import OnsetDetector
 from service.perception.slip.open_gel import OpenGel
+from simulation.data.trial import frame_seed
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.studies.slip.trials import NO_SLIP_SHARE, SlipTrial, draw_trials
@@ -78,7 +79,8 @@ def pictures(trial: SlipTrial) -> list[list[Image]]:
     drawn = []
     for finger, name in enumerate(FINGERS):
         renderer = Renderer(Appearance.draw(trial.scene, name, trial.seed))
-        drawn.append([renderer.rectified(gel[finger], trial.seed + k) for k, gel in enumerate(trial.gel)])
+        seeds = [frame_seed(trial.seed, k, finger) for k in range(len(trial.gel))]
+        drawn.append([renderer.rectified(gel[finger], seed) for gel, seed in zip(trial.gel, seeds, strict=True)])
     return drawn
 
 
@@ -156,7 +158,7 @@ def cost_ms(trials: int, seed: int, fps: int) -> dict[str, float]:
             rectifier = Rectifier(renderer.calibration)
             tracker, free, slip, onset = MarkerTracker(), OpenGel(), SlipDetector(), OnsetDetector()
             for k, gel in enumerate(trial.gel):
-                raw = renderer.raw(gel[finger], trial.seed + k)
+                raw = renderer.raw(gel[finger], frame_seed(trial.seed, k, finger))
                 begun = time.process_time()
                 field = tracker.update(rectifier.apply(raw), round(k * 1e9 / fps))
                 if k == 0:

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from simulation.closed_loop import benchmark, statistics
 from simulation.closed_loop.job import Job, job_in
 from simulation.closed_loop.play import insert
-from simulation.scene.worlds import World, load_scene
+from simulation.scene.worlds import World, load_objects, load_scene
 
 COURSE = {"block_mm": 0.2, "force_n": 9.0}
 DECISION = {
@@ -88,6 +88,16 @@ def test_starts_are_uniform_in_the_range_of_the_object_and_repeat_by_seed():
     starts = benchmark.drawn_starts(scene, 30, 7)
     assert all(abs(x) <= scene.x_range_mm and abs(theta) <= scene.theta_range_deg for x, theta in starts)
     assert benchmark.drawn_starts(scene, 5, 7) == starts[:5] != benchmark.drawn_starts(scene, 5, 8)
+
+
+def test_an_object_has_the_same_starts_in_every_world_but_no_two_insertions_share_a_grasp(tmp_path):
+    objects, worlds = load_objects(["circle", "can"]), [World("one"), World("other")]
+    jobs = [
+        task.job for seed in (0, 1) for task in benchmark.tasks(worlds, objects, 3, seed, tmp_path, "code")
+    ]  # of neighbouring seeds, whose objects have neighbouring numbers
+    assert len({job["seed"] for job in jobs}) == len(jobs) == 24
+    starts = {(job["scene"], job["index"], job["x_mm"] / objects[job["scene"]].x_range_mm) for job in jobs}
+    assert len({share for _, _, share in starts}) == len(starts) == 12
 
 
 @given(st.floats(-20, 20), st.floats(-20, 20))

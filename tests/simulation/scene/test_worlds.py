@@ -178,7 +178,7 @@ def test_a_hexagon_has_the_sizes_of_its_file_and_is_regular_where_they_are_equal
         assert (crest_mm, flat_mm) == pytest.approx((0.5 * high_mm, 15.0))
         assert crest_mm / slope == pytest.approx(15.0), "the sides meet at the corners on x"
         rounded = load_scene(write(tmp_path, "soft", f"{HEXAGON}size_y_mm = {size_y_mm}\ncorner_radius_mm = 2.0\n"))
-        assert rounded.object.held_profile[0] == pytest.approx(0.5 * high_mm)
+        assert rounded.object.held_width_mm == pytest.approx(high_mm)
 
 
 @pytest.mark.parametrize(("text", "radius_mm"), [(BOX + "corner_radius_mm = 4.0\n", 4.0), (TIN, 0.0)])

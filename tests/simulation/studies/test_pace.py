@@ -26,7 +26,7 @@ from simulation.studies.pace.front import beaten_by, front
 from simulation.studies.pace.groups import groups
 from simulation.studies.pace.kept import kept
 from simulation.studies.pace.points import BEFORE, POINTS, SHIPPED, Point, client, tasks, with_care
-from simulation.studies.pace.report import pace_page
+from simulation.studies.pace.report import pace_page, report_of
 
 SHIPPED_CLIENT = client()
 DOCS = Path(__file__).parents[3] / "docs"
@@ -130,6 +130,19 @@ def test_a_star_is_what_ships_and_nothing_else():
     shown = figures(json.loads((DOCS / "pace.json").read_text()), set())
     stars = {mark.name for panel in shown for series in panel.series for mark in series.marks if mark.ships}
     assert stars == {"as shipped", "steps of depth", "fp32"}
+
+
+def test_a_start_that_the_gel_cannot_bear_takes_no_time_and_hides_none_of_the_others(tmp_path):
+    """In the first start the gel is squeezed through by the grip, before anything is played."""
+    soft = World("soft", {"gel.thickness_mm": 10.0, "gel.shear_modulus_n_per_mm2": 0.005})
+    models, points = released_models(), [named(BEFORE), named(SHIPPED)]
+    begun = [Start(world, "circle", 0.1, 0.1, 1.0) for world in (soft, World())]
+    rows = [insert(Job(**task.job), models_of(models)) for task in tasks(points, begun, 5, models, [0.1, 0.1])]
+    assert [row["void"] for row in rows] == [True, True, False, False]
+    before, shipped = report_of([*rows[:2], *rows[2:] * 30], points)["points"]
+    assert before["inserted"] == 30
+    assert before["parts"] == shipped["parts"]
+    assert shipped["parts"]["guarded descent"]["mean"] > 0.3
 
 
 def test_a_quicker_choice_with_an_untrue_claim_beats_nobody():
