@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from export.bench import paper
-from export.bench.fresh import measure_fresh
 from export.bench.measure import time_in_turn, together, undisturbed
 from export.bench.report import NAME, benchmark_page
 from export.onnx.decisions import Decision
@@ -55,11 +54,11 @@ def benchmark(
 
 
 def measure(model: Model, seconds: float) -> Row:
-    """Size, first call and the cost of each further call of a file."""
+    """Size of a file and the cost of a call."""
     with undisturbed():
         timing, _ = time_in_turn({"": together([model])}, seconds=seconds)[""]
     size_mb = model.file.stat().st_size / 1e6
-    return {"file": str(model.file), "size_mb": size_mb, **timing._asdict(), "fresh": measure_fresh(model.file)}
+    return {"file": str(model.file), "size_mb": size_mb, **timing._asdict()}
 
 
 def precisions(folder: Path, out: Path, decisions: Sequence[Decision], seconds: float) -> list[Row]:

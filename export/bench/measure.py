@@ -30,7 +30,7 @@ class Timing(NamedTuple):
         return cls(len(wall_ms), *(float(np.percentile(times, q)) for times in (wall_ms, cpu_ms) for q in (50, 99)))
 
 
-def example_inputs(model: Model) -> Arrays:
+def _example_inputs(model: Model) -> Arrays:
     """Golden inputs of a model, as the service would feed them."""
     card = model.card
     frames = golden_input(card)[None]
@@ -43,7 +43,7 @@ def example_inputs(model: Model) -> Arrays:
 
 def together(models: Sequence[Model]) -> Callable[[], Any]:
     """A call of all models, one after the other, on golden inputs."""
-    inputs = [example_inputs(model) for model in models]
+    inputs = [_example_inputs(model) for model in models]
     return lambda: [model(given) for model, given in zip(models, inputs, strict=True)]
 
 

@@ -25,8 +25,7 @@ def benchmark_page(report: Row) -> str:
         (`{worst["file"]}`, median).
 
         Measured by `make bench` on {report["cpu"]}, at commit `{report["commit"][:12]}`, with one thread, golden inputs
-        and without the warm-up. Quote the CPU time: on a shared machine, wall time also measures the neighbours. Load
-        time, first call and peak memory (beyond interpreter and libraries) come from a fresh process.
+        and without the warm-up. Quote the CPU time: on a shared machine, wall time also measures the neighbours.
         """,
         table(
             report["models"],
@@ -35,9 +34,6 @@ def benchmark_page(report: Row) -> str:
             ("99 %", "cpu_p99_ms", ".2f"),
             ("wall ms: median", "p50_ms", ".2f"),
             ("99 %", "p99_ms", ".2f"),
-            ("load ms", "fresh.load_ms", ".0f"),
-            ("first ms", "fresh.first_ms", ".1f"),
-            ("peak MB", "fresh.peak_mb", ".0f"),
             ("file MB", "size_mb", ".2f"),
         ),
         *_int8(report),

@@ -57,7 +57,7 @@ def benchmark(
     int8: Path | None = None,
     alexnet: Path | None = None,
 ) -> None:
-    """Measure models on this machine: latency, memory, whether int8 pays, and the paper's networks for comparison.
+    """Measure models on this machine: latency, whether int8 pays, and the paper's networks for comparison.
 
     Args:
         models: ONNX files; default: all in models/ and its folders.

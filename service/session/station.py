@@ -28,7 +28,6 @@ from service.recordings.recovery import own, recover
 from service.session.factory import make_session
 from service.session.insertion import Insertion, Send
 from service.session.manager import REMEMBERED_N, InsertionManager
-from service.session.memory import give_back
 from service.session.warm_up import warm_up
 from service.settings import Settings
 from service.versions.versions import Versions
@@ -243,30 +242,6 @@ class Station:
         newest = [camera.newest_ns for camera in self.cameras.values()]
         ages = [(now_ns() - stamp_ns) / 1e6 for stamp_ns in newest if stamp_ns is not None]
         return max(ages) if len(ages) == len(newest) else None
-
-    def reload_models(self) -> None:
-        """Load the models folder again and swap it in between insertions; on any fault the old models stay.
-
-        Raises ContractError with the fault, or if an insertion is under way.
-        """
-        try:
-            self._swap(load_models(self.settings.models))
-        except OSError as error:
-            raise ContractError(f"the old models stay: {error}") from None
-        finally:
-            give_back()  # one or two sets of networks: about 30 MB that the allocator would keep
-
-    def _swap(self, fresh: ModelSet) -> None:
-        if fresh.card.frame != self.models.card.frame:
-            raise ContractError(
-                f"new models expect {fresh.card.frame.shape}, the service runs {self.models.card.frame.shape}"
-            )
-        if (calibration := self.manager.calibration) and (why := calibration.unlike(fresh.card)):
-            raise ContractError(f"{self.settings.calibration} {why}")
-        if self.active is not None:
-            raise ContractError("an insertion is under way; load models between insertions")
-        self.versions.begin_anew(fresh)
-        self.manager.models = fresh
 
     # ---- clients ---------------------------------------------------------------------------------------------------
 

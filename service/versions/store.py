@@ -4,7 +4,6 @@
 the disk, so that a kill or a power cut leaves either the old or the new wiring.
 """
 
-import contextlib
 import fcntl
 import hashlib
 import os
@@ -136,12 +135,6 @@ class Store:
         for path in self.home.iterdir():
             if path.is_dir() and path.name not in kept:
                 shutil.rmtree(path, ignore_errors=True)
-
-    def forget(self) -> None:
-        """Remove the wiring, as if no version had ever been given."""
-        with contextlib.suppress(FileNotFoundError):
-            (self.home / WIRING).unlink()
-            _sync(self.home)
 
     def _own(self) -> None:
         if self._lock is not None:

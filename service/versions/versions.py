@@ -191,12 +191,6 @@ class Versions:
         with self._lock:
             self._roll_back("by hand")
 
-    def begin_anew(self, released: ModelSet) -> None:
-        """Another release decides; all evidence about versions is discarded."""
-        with self._lock:
-            self._store.forget()
-            self._now = _of_release(released)
-
     # ---- learning from insertions ------------------------------------------------------------------------------------
 
     def learn(self, answered: Beside, finished: Finished, *, fresh: bool, tried_n: int) -> None:

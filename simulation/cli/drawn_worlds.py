@@ -20,7 +20,6 @@ from simulation.scene.rubber import shear_reach_pitches
 from simulation.scene.worlds import World, load_scene
 from simulation.studies import drawn_worlds
 from simulation.studies.drawn_worlds import Variant
-from simulation.studies.witness import failures
 from simulation.studies.witness import sealed as test
 from simulation.studies.witness.sealed_page import foreign_world_page
 
@@ -111,8 +110,7 @@ class SealedOptions:
     """Play the sealed test of a release: worlds and starts follow from the networks' bytes and a counter.
 
     Results go to OUT/insertions.jsonl as they come; the same command resumes an interrupted test, and a larger --count
-    adds to it. The report goes to DOCS/foreign_world.md and .json, every insertion to .csv, the last pictures of the
-    failures to foreign_failures.png. All figures are simulated.
+    adds to it. The report goes to DOCS/foreign_world.md and .json, every insertion to .csv. All figures are simulated.
     """
 
     out: Path = Path("runs/sealed")
@@ -155,9 +153,6 @@ def sealed(arguments: list[str]) -> int:
     begun = test.opened(seal, objects, options.count)
     played = dict(_sealed_rows(options, seal, begun))
     data = test.report_of(played, begun, {"seal": seal, "counter": options.counter, "count": options.count})
-    if failed := [row for row in played[test.WITNESS] if not (row["inserted"] or row["void"])]:
-        data["pictures"] = "foreign_failures.png"
-        failures.draw(failed, options.models, options.docs / data["pictures"])
     sys.stdout.write(publish(options.docs, "foreign_world", foreign_world_page(data), data))
     write_csv(options.docs / "foreign_world.csv", test.table_of(played, begun))
     return 0

@@ -38,8 +38,6 @@ class Options(PlayOptions):
     docs: Path = Path("runs/pace")
     kept: Path = Path("docs")
     """folder of the other pages' results, which the figures also show"""
-    html: Path | None = None
-    """file for the interactive figures, 5 MB; needs plotly"""
     count: int = 200
     """number of starts"""
     seed: int = 87
@@ -60,7 +58,7 @@ def main(arguments: list[str]) -> int:
         worlds = drawn_worlds_of(options.count, options.seed, layer_share=0.0)
         objects = drawn_objects(options.out, options.count, options.seed)
         data = _played(options, starts(worlds, objects, options.count, options.seed))
-    sys.stdout.write(report.write({**data, "kept": kept}, options.docs, options.html))
+    sys.stdout.write(report.write({**data, "kept": kept}, options.docs))
     return 0
 
 

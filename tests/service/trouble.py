@@ -1,15 +1,12 @@
 """Faults of a cell's network and disk, injected for the soak; bounded, on loopback."""
 
 import contextlib
-import os
 import random
-import shutil
 import socket
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 
 import httpx
 from websockets.exceptions import WebSocketException
@@ -103,28 +100,6 @@ class Garbage:
                 link.send(rng.choice((rng.randbytes(rng.randrange(300)), "{" * rng.randrange(50), "x" * 100_000)))
                 with contextlib.suppress(TimeoutError):
                     link.recv(0.05)
-
-
-class Reloads:
-    """Reloads the models, sometimes with a broken file, which must leave the old ones in place."""
-
-    def __init__(self, service: ServiceProcess, models: Path, spare: Path) -> None:
-        self.service, self.models, self.spare = service, models, spare
-
-    def __call__(self, rng: random.Random) -> str:
-        path = self.service.url("/v2/repository/models/direction.step/load")
-        target = self.models / "direction.step.onnx"
-        if rng.random() < 0.6:
-            answer = httpx.post(path, headers=self.service.bearer, timeout=30)
-            assert answer.status_code in {200, 400}, answer.text
-            return "models loaded" if answer.status_code == 200 else "load refused: insertion under way"
-        target.write_bytes(os.urandom(1000))
-        try:
-            answer = httpx.post(path, headers=self.service.bearer, timeout=30)
-        finally:
-            shutil.copy(self.spare / target.name, target)
-        assert answer.status_code == 400, f"a broken model was loaded: {answer.text}"
-        return "broken model refused"
 
 
 class Cuts:

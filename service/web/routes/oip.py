@@ -146,7 +146,7 @@ def _server_routes(routes: APIRouter, served: Served, access: Access) -> None:
 
     @routes.get("", dependencies=watch)
     async def server() -> dict[str, Any]:
-        extensions = ["binary_tensor_data", "statistics", "model_repository", "model_configuration"]
+        extensions = ["binary_tensor_data", "statistics", "model_configuration"]
         return {"name": "tactile-insertion", "version": __version__, "extensions": extensions}
 
     @routes.get("/health/live")
@@ -164,15 +164,6 @@ def _server_routes(routes: APIRouter, served: Served, access: Access) -> None:
     @routes.post("/repository/index", dependencies=watch)
     async def index() -> list[dict[str, str]]:
         return [{"name": name, "version": VERSION, "state": "READY", "reason": ""} for name in served.models()]
-
-    @routes.post("/repository/models/{name}/{action}", dependencies=[access.require("admin")])
-    async def repository(name: str, action: str) -> dict[str, Any]:
-        if action not in {"load", "unload"} or name not in served.models():
-            raise HTTPException(400, f"cannot {action} {name}: expected load of {list(served.models())}")
-        if action == "unload":
-            raise HTTPException(400, "models that decide insertions are not unloaded; load replaces them")
-        await asyncio.to_thread(served.station.reload_models)
-        return {}
 
 
 def _model_routes(routes: APIRouter, served: Served, access: Access) -> None:

@@ -1,4 +1,4 @@
-"""The figures of the page, declared once: drawn as a picture, and as a page to hover and zoom in."""
+"""The figures of the page, declared as data and drawn as one picture."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from reporting.figure import GREY, PALETTE, drawing
-from reporting.files import write_durably
 from reporting.statistics import Estimate
 
 COLUMNS = 3
@@ -118,35 +117,3 @@ def _covered(axis: Any, mark: Mark) -> list[Any]:
 
     x, y = (mark.x.value, mark.x.value), (mark.y.value, mark.y.value)
     return [box(x, y, 5), box((mark.x.low, mark.x.high), y, 2), box(x, (mark.y.low, mark.y.high), 2)]
-
-
-def write_html(panels: Sequence[Panel], path: Path) -> None:
-    """As one HTML file of 5 MB that needs no network. Raises ValueError where plotly is not installed."""
-    try:
-        from plotly.subplots import make_subplots
-    except ImportError as error:
-        raise ValueError("--html needs plotly: pip install plotly") from error
-    figure = make_subplots(-(-len(panels) // COLUMNS), COLUMNS, subplot_titles=[panel.title for panel in panels])
-    for place, panel in enumerate(panels):
-        where = {"row": place // COLUMNS + 1, "col": place % COLUMNS + 1}
-        for series, colour in zip(panel.series, PALETTE, strict=False):
-            figure.add_scatter(**_hovering(series, panel, colour), **where)
-        figure.update_xaxes(title=panel.x, rangemode="tozero", **where)
-        figure.update_yaxes(title=panel.y, rangemode="normal" if panel.y_from else "tozero", **where)
-    figure.update_layout(template="plotly_white", height=900, showlegend=False, title="What accuracy costs (simulated)")
-    write_durably(path, figure.to_html(include_plotlyjs=True).encode())
-
-
-def _hovering(series: Series, panel: Panel, colour: str) -> dict[str, Any]:
-    marks = sorted(series.marks, key=lambda mark: mark.x.value)
-    ends = {name: _bars([getattr(mark, name) for mark in marks]) for name in ("x", "y")}
-    return {
-        **{name: [getattr(mark, name).value for mark in marks] for name in ends},
-        **{f"error_{name}": {"array": high, "arrayminus": low} for name, (low, high) in ends.items()},
-        "mode": "lines+markers" if series.joined else "markers",
-        "marker": {"color": colour, "size": 9, "symbol": ["star" if mark.ships else "circle" for mark in marks]},
-        "text": [
-            f"{mark.name} ({series.name})<br>{panel.x}: {mark.x:.3g}<br>{panel.y}: {mark.y:.3g}" for mark in marks
-        ],
-        "hoverinfo": "text",
-    }

@@ -14,7 +14,7 @@ from simulation.studies.lateness import errors_ms
 from simulation.studies.pace.figures import EARLY, figures
 from simulation.studies.pace.front import beaten_by, front
 from simulation.studies.pace.groups import groups
-from simulation.studies.pace.panels import draw, write_html
+from simulation.studies.pace.panels import draw
 from simulation.studies.pace.points import BEFORE, SHIPPED, Point
 from simulation.studies.pace.resampled import a_box, faster, total_s, upper
 from simulation.studies.pace.tables import by_group, columns, parts
@@ -195,9 +195,6 @@ def _figures(kept: Row) -> str:
       {Estimate(*images["accuracy"]):.1%} from pictures and in {Estimate(*true["accuracy"]):.1%} from true fields, with
       a median delay of {images["delay_frames"]["median"]:.0f} frame and no false alarm ([slip
       report](slip_report.md)).
-
-    With every interval on hover: `pip install plotly`, then `python -m simulation pace --draw --docs docs --html
-    runs/pace.html`.
     """
 
 
@@ -269,11 +266,8 @@ def _short(of: Row, begin: str) -> str:
     )
 
 
-def write(data: Row, docs: Path, html: Path | None = None) -> str:
-    """Write NAME.md, .json and .png into the folder, and ``html`` if named; returns the text."""
+def write(data: Row, docs: Path) -> str:
+    """Write NAME.md, .json and .png into the folder; returns the text."""
     docs.mkdir(parents=True, exist_ok=True)
-    shown = figures(data, front(data["points"]))
-    draw(shown, docs / f"{NAME}.png")
-    if html:
-        write_html(shown, html)
+    draw(figures(data, front(data["points"])), docs / f"{NAME}.png")
     return publish(docs, NAME, pace_page(data), data)

@@ -41,7 +41,7 @@ def foreign_world_page(data: Row) -> str:
         {_baselines(data)}
         """,
         table([{**row, "share": _inserted(data, row)} for row in data["figures"]], *_FIGURES),
-        *(_failures(failed, data.get("pictures")) if failed else ()),
+        *(_failures(failed) if failed else ()),
         data.get("note", ""),
         *(_tests_before(data["before"]) if data.get("before") else ()),
         f"""
@@ -50,12 +50,11 @@ def foreign_world_page(data: Row) -> str:
     )  # fmt: skip
 
 
-def _failures(failed: list[Row], pictures: str | None) -> tuple[str | Table, ...]:
+def _failures(failed: list[Row]) -> tuple[str | Table, ...]:
     return (
         f"## Why {len(failed)} insertions failed",
         table(Counter(map(cause, failed)).most_common(), ("cause", 0), ("insertions", 1, "d")),
         "## Each failure",
-        f"![Final frames of both cameras for up to six failures, false claims first]({pictures})" if pictures else "",
         table(
             failed,
             ("world", "world"),

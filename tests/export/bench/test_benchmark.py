@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from export.bench.benchmark import benchmark
-from export.bench.fresh import measure_fresh
 from export.bench.measure import quartiles, time_in_turn, undisturbed
 from export.bench.paper import exported
 from export.bench.report import benchmark_page
@@ -21,10 +20,9 @@ def report(models, tmp_path_factory):
     return json.loads((out / "benchmark.json").read_text())
 
 
-def test_a_model_has_its_times_and_what_it_costs_to_open(report):
+def test_a_model_has_its_times(report):
     (row,) = report["models"]
     assert 0 < row["p50_ms"] <= row["p99_ms"]
-    assert row["fresh"]["first_ms"] > 0
 
 
 def test_every_mode_of_int8_has_a_row_with_a_verdict(report):
@@ -48,8 +46,6 @@ def test_a_build_that_this_processor_computes_wrongly_has_its_reason_in_the_plac
 def test_a_missing_model_is_named(tmp_path):
     with pytest.raises(ContractError, match="no model at"):
         benchmark([tmp_path / "absent.onnx"], seconds=0.05, docs=tmp_path)
-    with pytest.raises(ContractError, match=r"no model at .*absent\.onnx"):
-        measure_fresh(tmp_path / "absent.onnx")
 
 
 def test_what_cannot_be_measured_is_refused_by_name(tmp_path):
@@ -58,11 +54,6 @@ def test_what_cannot_be_measured_is_refused_by_name(tmp_path):
     for folder in (Path("models/pressing"), Path("models/joint"), tmp_path):  # of depth, no command, none
         with pytest.raises(ContractError, match=f"--int8 {folder}: expected step networks of direction and magnitude"):
             benchmark([Path("models/pressing/pair.step.onnx")], seconds=0.02, docs=tmp_path, int8=folder)
-
-
-def test_the_memory_of_a_fresh_process_is_that_of_its_first_opening():
-    """A session takes some ten megabytes whatever its model; opened before, it would find them already taken."""
-    assert measure_fresh(Path("models/direction.step.onnx"))["peak_mb"] > 6
 
 
 def test_a_model_costs_as_much_as_itself():

@@ -1,7 +1,6 @@
 """The perception thread's order of work: messages must not keep it from the clock."""
 
 import itertools
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,10 +9,9 @@ import numpy as np
 import pytest
 
 from service.cameras.capture import CameraError, CameraFrame, Capture
-from service.contract import FINGERS, ContractError, TactileFrame
+from service.contract import ContractError, TactileFrame
 from service.decision.models import ModelSet
 from service.decision.work import Work
-from service.perception.rectification import Calibration
 from service.session.manager import InsertionManager
 from service.session.station import TICK_S, Station, open_station
 from service.settings import Settings
@@ -172,40 +170,6 @@ def test_a_tick_looks_at_both_cameras_and_at_the_insertion(idle: Station, monkey
     monkeypatch.setattr(InsertionManager, "tick", lambda _, at_ns: looked.append(at_ns))
     idle._tick()
     assert looked == [("left", 7 * 10**9), ("right", 7 * 10**9), 7 * 10**9]
-
-
-def test_other_networks_are_taken_between_insertions_and_for_the_same_pictures_only(
-    idle: Station, models: ModelSet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fresh = ModelSet(models.steps, models.models)
-    begun: list[ModelSet] = []
-    monkeypatch.setattr(idle.versions, "begin_anew", begun.append)
-    larger = models.card.frame.model_copy(update={"width_px": 400})
-    other: Any = SimpleNamespace(card=SimpleNamespace(frame=larger))
-    with pytest.raises(ContractError, match="new models expect"):
-        idle._swap(other)
-    monkeypatch.setattr(idle.manager, "active", object())
-    with pytest.raises(ContractError, match="under way"):
-        idle._swap(fresh)
-    assert (begun, idle.models) == ([], models)
-    monkeypatch.setattr(idle.manager, "active", None)
-    idle._swap(fresh)
-    assert begun == [fresh]
-    assert idle.manager.models is fresh
-
-
-def test_networks_of_another_scale_are_refused_when_they_are_loaded_as_at_the_start(
-    idle: Station, models: ModelSet
-) -> None:
-    profile = models.card.profile
-    left, right = (replace(drawn.calibration().camera(finger), mm_per_px=profile.mm_per_px) for finger in FINGERS)
-    idle.manager.calibration = Calibration(left, right)
-    idle._swap(fresh := ModelSet(models.steps, models.models))
-    coarser = profile.model_copy(update={"mm_per_px": 0.1})
-    other: Any = SimpleNamespace(card=models.card.model_copy(update={"sensor": coarser}))
-    with pytest.raises(ContractError, match=r"mm per px, the models expect 0\.1: "):
-        idle._swap(other)
-    assert idle.manager.models is fresh
 
 
 @pytest.mark.parametrize("shadow", [False, True])

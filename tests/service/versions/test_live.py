@@ -234,13 +234,3 @@ def test_versions_that_cannot_be_kept_change_nothing_and_the_refusal_names_the_f
         why = f"File exists: {tmp_path / 'state' / 'versions'}"
         assert refused.json()["error"] == f"versions in {tmp_path / 'state'}: {why}"
         assert ask(cell, "GET").json()["shadow"] is None
-
-
-def test_a_loaded_release_begins_anew(cell: LiveService, tmp_path: Path) -> None:
-    ask(cell, "POST", "/shadow", folder=str(write_shadow(tmp_path / "again", training_data_sha256="2" * 64)))
-    assert ask(cell, "POST", "/promote").json()["previous"]
-    load = "/v2/repository/models/direction.step/load"
-    assert httpx.post(cell.url(load), headers=cell.bearer).status_code == 200
-    assert cell.station.models is cell.station.versions.active
-    assert cell.station.models.entries == load_models(cell.station.settings.models).entries
-    assert ask(cell, "GET").json()["previous"] is None

@@ -15,6 +15,7 @@ from service.contract import wire
 from service.settings import Settings
 from tests.service.client import greeted
 from tests.service.conftest import LiveService, live_service, served
+from tests.service.tiny_models import write_models
 from tests.waiting import wait_for
 
 DRIVE, ADMIN = "a-token-for-driving", "a-token-for-administration"
@@ -49,7 +50,6 @@ def test_without_the_token_this_machine_may_watch_and_nothing_else(live: LiveSer
     for method, path in (
         ("POST", "/v1/decisions"),
         ("POST", "/v2/models/direction.step/infer"),
-        ("POST", "/v2/repository/models/direction.step/load"),
         ("DELETE", "/v1/recordings/x"),
         ("DELETE", "/v1/versions/shadow"),
         *(("POST", f"/v1/versions/{change}?folder=x") for change in ("shadow", "promote", "rollback")),
@@ -71,7 +71,8 @@ def test_without_the_token_this_machine_may_watch_and_nothing_else(live: LiveSer
 def test_a_token_of_ones_own_takes_the_generated_ones_place(tmp_path: Path, models_folder: Path) -> None:
     with live_service(tmp_path, models_folder, token_drive=DRIVE, token_admin=ADMIN) as own:
         assert not (tmp_path / "state").exists()
-        path = own.url("/v2/repository/models/direction.step/load")
+        shadow = write_models(tmp_path / "shadow", git_commit="1" * 40)
+        path = own.url(f"/v1/versions/shadow?folder={shadow}")
         codes = [httpx.post(path, headers={"Authorization": f"Bearer {t}"}).status_code for t in (DRIVE, ADMIN)]
         assert codes == [403, 200]
 
