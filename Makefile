@@ -5,7 +5,6 @@ RUN_VENV ?= .venv-run
 READERS_VENV ?= .venv-readers
 OLD_RUNTIME_VENV ?= .venv-old-runtime
 OPS_VENV ?= .venv-ops
-PEERS_VENV ?= .venv-peers
 GRAPH_VENV ?= .venv-graph
 KSERVE_VENV ?= .venv-kserve
 LEROBOT_VENV ?= .venv-lerobot
@@ -42,11 +41,6 @@ $(VENV)/ready: requirements/test.txt requirements/torch.sh
 	$(PYTHON) -m venv $(VENV)
 	sh requirements/torch.sh $(BIN)/pip $(TORCH_VERSION)
 	@$(BIN)/python requirements/install.py $(BIN)/pip requirements/test.txt
-	@touch $@
-
-$(PEERS_VENV)/ready: pyproject.toml
-	$(PYTHON) -m venv $(PEERS_VENV)
-	$(PEERS_VENV)/bin/pip install -q '.[bench-serving]' || echo "the peers cannot be installed here; their rows will say so" >&2
 	@touch $@
 
 $(VENV)/browser: $(VENV)/ready
@@ -195,8 +189,8 @@ bench: $(VENV)/ready ## cost of a decision of each released network on this mach
 	$(BIN)/python -m export benchmark --docs docs --int8 models/pictures --alexnet $(ALEXNET) \
 	  $(if $(wildcard $(PROBES)/manifest.json),--data $(PROBES))
 
-bench-serving: $(VENV)/ready $(PEERS_VENV)/ready ## cost of serving against MLServer and LitServe: docs/serving.md, .json
-	$(BIN)/python -m tests.benchmarks.serving --models $(MODELS) --peers-python $(PEERS_VENV)/bin/python
+bench-serving: $(VENV)/ready ## cost of serving: docs/serving.md, .json
+	$(BIN)/python -m tests.benchmarks.serving --models $(MODELS)
 
 PEERS = $(if $(LEROBOT),$(PEERS_OF_THEIR_OWN),$(filter-out $(LEROBOT_VENV),$(PEERS_OF_THEIR_OWN)))
 peers: $(VENV)/browser $(PEERS:=/ready) ## interoperability with other software, one row per package: docs/peers.md, .json (LEROBOT=1: its loader, too, 8 GB)
@@ -275,4 +269,4 @@ requirements: ## pin requirements/*.txt again (needs uv)
 	sh requirements/compile.sh
 
 clean: ## remove environments, builds and caches, but no data and no runs
-	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_VENV) $(PEERS_OF_THEIR_OWN) $(DOCS_VENV) $(LOWEST_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(RUN_VENV) $(OPS_VENV) $(PEERS_OF_THEIR_OWN) $(DOCS_VENV) $(LOWEST_VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -38,7 +38,6 @@ class Probe:
     x_mm: float
     theta_deg: float
     error_before: tuple[float, float]
-    error_after: tuple[float, float]
     block_motion: NDArray[np.float64]
 
 
@@ -171,6 +170,5 @@ def _keep(record: _Recorder, slip: int, stop: int, outcome: Outcome, x_mm: float
         x_mm=x_mm,
         theta_deg=theta_deg,
         error_before=record.states[0].object_error,
-        error_after=record.states[-1].object_error,
         block_motion=record.states[-1].block_motion,
     )

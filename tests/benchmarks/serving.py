@@ -1,9 +1,8 @@
-"""`python -m tests.benchmarks.serving` (`make bench-serving`): what serving costs, beside its peers, in one run.
+"""`python -m tests.benchmarks.serving` (`make bench-serving`): what serving costs, in one run.
 
-Rows: WebSocket decision against in-process; Open Inference Protocol against MLServer gRPC and LitServe on the same ONNX
-file; /healthz under full load; the first decision after ready; age of results at twice the load this machine can take;
-cameras at 2 x 60 and 2 x 90 fps; several cells on this machine; recordings and an adaptation, from which a
-fleet is worked out. Writes docs/serving.md and .json, and says where a target is missed.
+Rows: WebSocket decision against in-process; the first decision after ready; cameras at 2 x 60 and 2 x 90 fps; /healthz
+under full load; age of results at twice the load this machine can take; several cells on this machine; recordings and
+an adaptation, from which a fleet is worked out. Writes docs/serving.md and .json, and says where a target is missed.
 """
 
 import argparse
@@ -29,7 +28,6 @@ from service.decision.models import load_models
 from tests.benchmarks.cell import SteppedCell, in_process_ms
 from tests.benchmarks.fleet import fleet
 from tests.benchmarks.load import cells, flood, healthz_ms, overload
-from tests.benchmarks.peers_run import peers
 from tests.service.process import service_process
 
 
@@ -89,7 +87,6 @@ def ratio(of: dict[str, float], to: dict[str, float]) -> float:
 def arguments(given: list[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--models", type=Path, default=Path("models"))
-    parser.add_argument("--peers-python", type=Path, help="interpreter of an environment with the extra bench-serving")
     parser.add_argument("--trials", type=int, default=30, help="decisions over the WebSocket")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each closed loop")
     parser.add_argument("--recordings", type=Path, help="folder of recorded insertions, for what a fleet costs")
@@ -105,7 +102,6 @@ def main() -> int:
 
     options = arguments()
     parts: dict[str, Callable[[], dict[str, Any]]] = {
-        "peers": lambda: peers(options.models, options.peers_python, options.seconds),
         "websocket": lambda: decisions(options.models, options.trials),
         "first": lambda: first_decision(options.models, starts=9, steady=5),
         "cameras 60": lambda: flood(options.models, 60.0, options.seconds),

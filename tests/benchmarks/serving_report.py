@@ -41,7 +41,7 @@ def serving_page(facts: dict[str, Any]) -> str:
             ("quantity", "quantity"),
             ("measured", "measured"),
             ("target", "target"),
-            ("met", lambda row: "" if row.reached and not row.target else REACHED[row.reached]),
+            ("met", lambda row: REACHED[row.reached]),
             ("load", "load", ".1f"),
         ),
         f"**Not measured:** {'; '.join(unmeasured)}." if unmeasured else "",
@@ -64,20 +64,6 @@ def _rows(name: str, make: Any, figures: dict[str, Any] | None) -> list[Row]:
 def both(ours: dict[str, float], theirs: dict[str, float]) -> str:
     """Two medians with their 99 % quantiles."""
     return f"{ours['p50_ms']:.1f} / {theirs['p50_ms']:.1f} ms (p99 {ours['p99_ms']:.0f} / {theirs['p99_ms']:.0f})"
-
-
-def _peers(figures: dict[str, Any]) -> list[Row]:
-    ours = figures["servers"]["service"]
-    rows = []
-    for peer, label, limit in (("mlserver", "MLServer gRPC", 0.5), ("litserve", "LitServe", 0.35)):
-        theirs, share = figures["servers"][peer], figures[f"ratio to {peer}"]
-        model, megabytes = figures.get("model", "direction.step.onnx"), figures["payload_bytes"] / 1e6
-        what = f"binary inference p50, `{model}`, {megabytes:.2f} MB per call, service / {label}"
-        what += f" {figures['versions'][peer]}"
-        rows.append(Row(what, f"{both(ours, theirs)} = {share:.2f}", f"{limit}", share <= limit))
-    inside = figures["servers"]["in process"]
-    rows.append(Row("the same in process, p50", f"{inside['p50_ms']:.2f} ms", reached=True))
-    return rows
 
 
 def _websocket(figures: dict[str, Any]) -> list[Row]:
@@ -135,7 +121,6 @@ def _cells(figures: dict[str, Any]) -> list[Row]:
 
 
 ROWS = {
-    "peers": _peers,
     "websocket": _websocket,
     "first": _first,
     "cameras 60": _cameras,
@@ -148,9 +133,6 @@ ROWS = {
 
 NOTES = """## How it was measured
 
-- Inference: one client in a closed loop, ten calls to each server in turn, one thread per session everywhere.
-  `tritonclient[http]` calls the service with binary tensors. `tritonclient[grpc]` calls MLServer with raw tensors and
-  without parallel workers. LitServe receives base64 in JSON.
 - Decision: two MJPEG cameras. The time runs from the moment the eighth pair of a stopped attempt begins to leave its
   cameras until the client has the correction. The baseline passes the same JPEGs through the same session in one
   thread, in alternation.

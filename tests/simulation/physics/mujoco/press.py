@@ -15,14 +15,10 @@ DAMPING = np.array([300.0, 300.0, 300.0, 6e4, 6e4, 6e4])  # of the object, N ms/
 
 @dataclass(frozen=True)
 class Pressed:
-    """End of a poke: force of the blocks on the object, N [3], and its rotation in the hand, deg [3].
-
-    slipping_share: of each pad's nodes, where known.
-    """
+    """End of a poke: force of the blocks on the object, N [3], and its rotation in the hand, deg [3]."""
 
     force_n: np.ndarray
     turn_deg: np.ndarray
-    slipping_share: tuple[float, ...] = ()
 
 
 class Press:
