@@ -117,7 +117,7 @@ class Soak:
         except (OSError, ValueError, RecordingError) as error:
             self.lost.append(f"{story.id}: {error}")
             return
-        whole = recording.complete and summary["outcome"] == "inserted" and kinds.count("finished") == 1
+        whole = recording.complete and summary["outcome"] == story.finished.outcome and kinds.count("finished") == 1
         if not whole or kinds.count("correction") < story.corrections:
             self.lost.append(f"{story.id}: {summary}, {Counter(kinds)}")
         self.counts["finished recordings verified"] += 1
