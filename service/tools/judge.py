@@ -68,7 +68,7 @@ class FingerRun:
 
     @property
     def shows_gel(self) -> bool:
-        """Whether the markers are seen in enough of the frames."""
+        """Whether the markers are fresh in enough of the frames."""
         unseen_n = sum(markers.status in {"lost", "no_grid"} for markers in self.fields)
         return unseen_n <= _UNSEEN * len(self.fields)
 
