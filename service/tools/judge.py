@@ -2,39 +2,38 @@
 
 A run is a folder with one video per finger; a video in which hardly any frame shows the gel's markers is none of them.
 A recording does not state the open gel before the grasp, so it is sought in the run's own frames (`rest`). That choice
-uses the whole run; everything after it uses only earlier frames.
+uses the whole run; everything after it uses only earlier frames. Moments at which all fingers' frames repeat the ones
+before are none.
 """
 
 import itertools
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from service.cameras.recorded import clip_images, stated_frames_n
-from service.perception.markers.field import MarkerField
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.slip.grasp import GraspWatch
-from service.perception.slip.imprint import ImprintChange, ImprintWatch
-from service.perception.slip.open_gel import OpenGel, shrunk
+from service.perception.slip.imprint import ImprintWatch
+from service.perception.slip.open_gel import shrunk
 from service.perception.slip.phases import EMPTY_N, ENDED, Grasp, Phase
-from service.perception.slip.rigid import Float64
 from service.perception.slip.slide import SlideWitness, slide_score
+from service.tools.finger_run import Felt, FingerRun, news
 from service.tools.live import stops_of
-from service.tools.open_frame import Rest, rest
+from service.tools.open_frame import rest
 
 RATE_HZ = 8.0  # of the recordings the thresholds were set with; headers are wrong about the rate
 VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm"}
 PHASES: tuple[Phase, ...] = ("open", "contact", "hold", "slip", "lost", "released")
 _LEAST_PX = 64
 _LARGE_PX, _REDUCED_PX = 480, 240  # smaller side; the filters are made for small pictures
-_UNSEEN = 0.5  # share of the frames in which a finger's markers may be invisible
 _BUFFERED_N = 16  # first frames, in which a camera may still deliver pictures of an earlier grasp
 
 
@@ -44,52 +43,6 @@ Image = NDArray[np.uint8]
 
 class RunError(ValueError):
     """Recordings are not in the expected place."""
-
-
-class Felt(NamedTuple):
-    """`OpenGel.touch` and `OpenGel.load` of one frame."""
-
-    touch: float | None
-    load: Float64 | None
-
-
-@dataclass(slots=True)
-class FingerRun:
-    """One finger's recording after perception, frame by frame; slip score and alarm come from its markers alone."""
-
-    fields: list[MarkerField] = field(default_factory=list)
-    pictures: list[NDArray[np.uint8]] = field(default_factory=list)
-    scores: list[float] = field(default_factory=list)
-    slips: list[bool] = field(default_factory=list)
-    changes: list[ImprintChange | None] = field(default_factory=list)
-    frames_n: int = 0
-    missing_n: int = 0
-    spent_s: float = 0.0
-
-    @property
-    def shows_gel(self) -> bool:
-        """Whether the markers are fresh in enough of the frames."""
-        unseen_n = sum(markers.status in {"lost", "no_grid"} for markers in self.fields)
-        return unseen_n <= _UNSEEN * len(self.fields)
-
-    def felt(self, still: Rest | None) -> list[Felt]:
-        """What the gel feels in each frame, compared with the frame at rest.
-
-        Unless it is open in that, it counts as touched wherever its markers are visible: an end cannot be shown then.
-        """
-        touches: list[float | None] = [1.0 if markers.usable else None for markers in self.fields]
-        if still is None:
-            return [Felt(touch, None) for touch in touches]
-        begun, gel = time.process_time(), OpenGel()
-        gel.learn(self.fields[still.frame], self.pictures[still.frame].astype(np.float32))
-        if still.is_open:
-            touches = [
-                gel.touch(markers, picture.astype(np.float32))
-                for markers, picture in zip(self.fields, self.pictures, strict=True)
-            ]
-        felt = [Felt(touch, gel.load(markers)) for touch, markers in zip(touches, self.fields, strict=True)]
-        self.spent_s += time.process_time() - begun
-        return felt
 
 
 def watched(clip: Path, step: int = 1) -> FingerRun:
@@ -160,14 +113,17 @@ def report_of(folder: Path, step: int = 1) -> RunReport:
     if len(clips) < _FINGERS_N:
         remarks.append("one finger's video alone: whether the object slides is not known")
     frames_n = min(len(finger.fields) for finger in fingers)
-    still = rest([finger.pictures for finger in fingers], [finger.fields for finger in fingers])
-    if still is None or not still.is_open:
+    new = news(fingers)
+    numbers, fresh = [k * step for k in new], [finger.only(new) for finger in fingers]
+    still = rest([finger.pictures for finger in fresh], [finger.fields for finger in fresh])
+    open_frame = numbers[still.frame] if still is not None and still.is_open else None
+    if open_frame is None:
         remarks.append("no frame shows open gels: they count as touched throughout, and an end cannot be shown")
     evidence = _evidence(fingers, frames_n)
-    slides = [terms is not None and bool(slide_score(terms) >= 0) for terms in evidence]
+    slides = [terms is not None and bool(slide_score(terms) >= 0) for terms in (evidence[k] for k in new)]
     statuses = [markers.status for finger in fingers for markers in finger.fields]
-    felt = [finger.felt(still) for finger in fingers]
-    whole, *alone = _stories(fingers, felt, slides, step)
+    felt = [finger.felt(still) for finger in fresh]
+    whole, *alone = _stories(fresh, felt, slides, numbers)
     row = {
         "frames_n": min(finger.frames_n for finger in fingers),
         **whole,
@@ -175,25 +131,25 @@ def report_of(folder: Path, step: int = 1) -> RunReport:
             name: {"frames_n": finger.frames_n, **story}
             for (name, finger), story in zip(clips.items(), alone, strict=True)
         },
-        "live": _live([clip for clip in videos if clip.stem in clips], still, whole, step),
-        "open_frame": still.frame * step if still is not None and still.is_open else None,
+        "live": _live([clip for clip in videos if clip.stem in clips], open_frame, whole, step),
+        "open_frame": open_frame,
         "ambiguous_n": statuses.count("ambiguous"),
         "refused_n": sum(status in {"lost", "no_grid", "duplicate"} for status in statuses),
         "missing_n": missing_n,
-        "ms_a_frame": 1e3 * sum(finger.spent_s for finger in fingers) / len(statuses),
+        "ms_a_frame": 1e3 * sum(finger.spent_s for finger in fresh) / len(statuses),
     }
     return RunReport(row, [None if terms is None else terms.tolist() for terms in evidence], remarks)
 
 
-def _live(videos: Sequence[Path], still: Rest | None, whole: dict[str, Any], step: int) -> dict[str, Any] | None:
+def _live(videos: Sequence[Path], open_frame: int | None, whole: dict[str, Any], step: int) -> dict[str, Any] | None:
     """When the session's own detector would stop an arm in the held grasp; None without one, or without two gels."""
     begin = whole["hold_frame"]
     if begin is None or len(videos) < _FINGERS_N:
         return None
     ends = [whole[f"{end}_frame"] // step - EMPTY_N + 1 for end in ENDED if whole[f"{end}_frame"] is not None]
     held = range(begin // step, min(ends, default=sys.maxsize))
-    open_frame = still.frame if still is not None and still.is_open else None
-    live = stops_of(lambda: zip(*(_pictures(clip, step) for clip in videos), strict=False), open_frame, held, RATE_HZ)
+    opened = None if open_frame is None else open_frame // step
+    live = stops_of(lambda: zip(*(_pictures(clip, step) for clip in videos), strict=False), opened, held, RATE_HZ)
     return {key: [k * step for k in value] if key.endswith("_frames") else value for key, value in live.items()}
 
 
@@ -212,10 +168,11 @@ def _evidence(fingers: Sequence[FingerRun], frames_n: int) -> list[NDArray[np.fl
 
 
 def _stories(
-    fingers: Sequence[FingerRun], felt: Sequence[Sequence[Felt]], slides: Sequence[bool], step: int
+    fingers: Sequence[FingerRun], felt: Sequence[Sequence[Felt]], slides: Sequence[bool], numbers: Sequence[int]
 ) -> list[dict[str, Any]]:
     """For the grasp and each finger: the first frame of each phase, null if it never came, and the largest scores.
 
+    ``numbers`` are the frames' in the recording.
     The grasp slips by the slide witness, a finger by its markers. ``borne_frames``: something else bore the object.
     """
     grasp = Grasp(len(fingers))
@@ -228,14 +185,14 @@ def _stories(
         for one, history, frames in zip(followed, phases, borne, strict=True):
             history.append(one.phase)
             if one.borne:
-                frames.append(k * step)
+                frames.append(numbers[k])
     return [
-        {**_firsts(history, step), "borne_frames": frames, "largest_score": _largest(history, whose)}
+        {**_firsts(history, numbers), "borne_frames": frames, "largest_score": _largest(history, whose)}
         for history, frames, whose in zip(phases, borne, [fingers, *([finger] for finger in fingers)], strict=True)
     ]
 
 
-def _firsts(phases: list[Phase], step: int) -> dict[str, int | None]:
+def _firsts(phases: list[Phase], numbers: Sequence[int]) -> dict[str, int | None]:
     """First frame of each phase of the first held grasp, or else of the first touch.
 
     A grasp that ends within the first frames counts only if none follows.
@@ -249,7 +206,7 @@ def _firsts(phases: list[Phase], step: int) -> dict[str, int | None]:
     first: dict[str, int | None] = {f"{phase}_frame": None for phase in PHASES[1:]}
     for chosen in order[:1]:
         first |= {
-            f"{phase}_frame": (begins[chosen] + grasps[chosen].index(phase)) * step
+            f"{phase}_frame": numbers[begins[chosen] + grasps[chosen].index(phase)]
             for phase in PHASES[1:]
             if phase in grasps[chosen]
         }
