@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.cameras.recorded import clip_images, stated_frames_n
+from service.perception.markers.lattice import DIAMETERS_PX, find_lattice
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.slip.grasp import GraspWatch
 from service.perception.slip.imprint import ImprintWatch
@@ -33,7 +34,8 @@ RATE_HZ = 8.0  # of the recordings the thresholds were set with; headers are wro
 VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm"}
 PHASES: tuple[Phase, ...] = ("open", "contact", "hold", "slip", "lost", "released")
 _LEAST_PX = 64
-_LARGE_PX, _REDUCED_PX = 480, 240  # smaller side; the filters are made for small pictures
+_SMALL_PX, _LARGE_PX, _REDUCED_PX = 312, 480, 240  # smaller side; the filters are made for small pictures
+_SOUGHT_N = 30  # first frames in which a grid is sought, to know how large its markers are
 _BUFFERED_N = 16  # first frames, in which a camera may still deliver pictures of an earlier grasp
 
 
@@ -51,6 +53,7 @@ def watched(clip: Path, step: int = 1) -> FingerRun:
     Raises RunError if it has no frames, or small ones; CameraError for its name.
     """
     run, tracker, watch, imprint = FingerRun(), MarkerTracker(), GraspWatch(), ImprintWatch()
+    shrink = _shrink(clip)
     for whole, _ in clip_images(clip):
         run.frames_n += 1
         if (run.frames_n - 1) % step:
@@ -58,7 +61,7 @@ def watched(clip: Path, step: int = 1) -> FingerRun:
         if min(whole.shape[:2]) < _LEAST_PX:
             raise RunError(f"{clip} is {whole.shape[1]} x {whole.shape[0]}, expected {_LEAST_PX} px a side or more")
         begun = time.process_time()
-        image = _reduced(whole)
+        image = _reduced(whole, shrink)
         markers = tracker.update(image, round(len(run.fields) * 1e9 / RATE_HZ))
         state = watch.update(markers)
         change = imprint.update(image, markers)
@@ -75,12 +78,28 @@ def watched(clip: Path, step: int = 1) -> FingerRun:
     return run
 
 
-def _reduced(image: Image) -> Image:
-    """A large picture at about 240 px, as a session's rectified ones are; others as they are."""
-    shrink = min(image.shape[:2]) // _REDUCED_PX
-    if min(image.shape[:2]) < _LARGE_PX:
+def _shrink(clip: Path) -> float:
+    """By how much a clip's pictures are reduced to be 240 px high, as a session's rectified ones are; 1: not at all.
+
+    Of those that are only somewhat larger, this depends on their markers, which must stay large enough to be found.
+    """
+    for picture, _ in itertools.islice(clip_images(clip), _SOUGHT_N):
+        side_px = int(min(picture.shape[:2]))
+        shrink = side_px / _REDUCED_PX
+        if side_px < _SMALL_PX:
+            return 1.0
+        if side_px >= _LARGE_PX:
+            return shrink
+        lattice = find_lattice(picture)
+        if lattice is not None:
+            return shrink if lattice.diameter_px >= DIAMETERS_PX[0] * shrink else 1.0
+    return 1.0
+
+
+def _reduced(image: Image, shrink: float) -> Image:
+    if shrink == 1:
         return image
-    size = (image.shape[1] // shrink, image.shape[0] // shrink)
+    size = (round(image.shape[1] / shrink), round(image.shape[0] / shrink))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
@@ -154,7 +173,8 @@ def _live(videos: Sequence[Path], open_frame: int | None, whole: dict[str, Any],
 
 
 def _pictures(clip: Path, step: int) -> Iterator[Image]:
-    return (_reduced(whole) for whole, _ in itertools.islice(clip_images(clip), 0, None, step))
+    shrink = _shrink(clip)
+    return (_reduced(whole, shrink) for whole, _ in itertools.islice(clip_images(clip), 0, None, step))
 
 
 def _evidence(fingers: Sequence[FingerRun], frames_n: int) -> list[NDArray[np.float64] | None]:
