@@ -47,8 +47,8 @@ class RunError(ValueError):
     """Recordings are not in the expected place."""
 
 
-def watched(clip: Path, step: int = 1) -> FingerRun:
-    """Every ``step``-th frame of one finger's recording through tracker, grasp watch and imprint.
+def watched(clip: Path, step: int = 1, rate_hz: float = RATE_HZ) -> FingerRun:
+    """Every ``step``-th frame of one finger's recording, ``rate_hz``, through tracker, grasp watch and imprint.
 
     Raises RunError if it has no frames, or small ones; CameraError for its name.
     """
@@ -62,7 +62,7 @@ def watched(clip: Path, step: int = 1) -> FingerRun:
             raise RunError(f"{clip} is {whole.shape[1]} x {whole.shape[0]}, expected {_LEAST_PX} px a side or more")
         begun = time.process_time()
         image = _reduced(whole, shrink)
-        markers = tracker.update(image, round(len(run.fields) * 1e9 / RATE_HZ))
+        markers = tracker.update(image, round(len(run.fields) * 1e9 / rate_hz))
         state = watch.update(markers)
         change = imprint.update(image, markers)
         picture = shrunk(image)
@@ -112,15 +112,16 @@ class RunReport:
     remarks: list[str]
 
 
-def report_of(folder: Path, step: int = 1) -> RunReport:
+def report_of(folder: Path, step: int = 1, rate_hz: float = RATE_HZ) -> RunReport:
     """One run up to the end of its shortest video; RunError if a video cannot be used.
 
-    Every ``step``-th frame is judged; the row counts them as in the recording, and the evidence has only these.
+    Every ``step``-th frame is judged, ``rate_hz`` of them a second; the row counts them as in the recording, and the
+    evidence has only these.
     """
     videos = clips_of(folder)
     if len({clip.stem for clip in videos}) < len(videos):
         raise RunError(f"two of its videos have one name: {', '.join(clip.name for clip in videos)}")
-    every = {clip.stem: watched(clip, step) for clip in videos}
+    every = {clip.stem: watched(clip, step, rate_hz) for clip in videos}
     missing_n = sum(finger.missing_n for finger in every.values())
     remarks = [f"{missing_n} frames of its videos cannot be decoded: damaged or cut off"] if missing_n else []
     shown = {name: finger for name, finger in every.items() if finger.shows_gel}
@@ -150,7 +151,7 @@ def report_of(folder: Path, step: int = 1) -> RunReport:
             name: {"frames_n": finger.frames_n, **story}
             for (name, finger), story in zip(clips.items(), alone, strict=True)
         },
-        "live": _live([clip for clip in videos if clip.stem in clips], open_frame, whole, step),
+        "live": _live([clip for clip in videos if clip.stem in clips], open_frame, whole, step, rate_hz),
         "open_frame": open_frame,
         "ambiguous_n": statuses.count("ambiguous"),
         "refused_n": sum(status in {"lost", "no_grid", "duplicate"} for status in statuses),
@@ -160,7 +161,9 @@ def report_of(folder: Path, step: int = 1) -> RunReport:
     return RunReport(row, [None if terms is None else terms.tolist() for terms in evidence], remarks)
 
 
-def _live(videos: Sequence[Path], open_frame: int | None, whole: dict[str, Any], step: int) -> dict[str, Any] | None:
+def _live(
+    videos: Sequence[Path], open_frame: int | None, whole: dict[str, Any], step: int, rate_hz: float
+) -> dict[str, Any] | None:
     """When the session's own detector would stop an arm in the held grasp; None without one, or without two gels."""
     begin = whole["hold_frame"]
     if begin is None or len(videos) < _FINGERS_N:
@@ -168,7 +171,7 @@ def _live(videos: Sequence[Path], open_frame: int | None, whole: dict[str, Any],
     ends = [whole[f"{end}_frame"] // step - EMPTY_N + 1 for end in ENDED if whole[f"{end}_frame"] is not None]
     held = range(begin // step, min(ends, default=sys.maxsize))
     opened = None if open_frame is None else open_frame // step
-    live = stops_of(lambda: zip(*(_pictures(clip, step) for clip in videos), strict=False), opened, held, RATE_HZ)
+    live = stops_of(lambda: zip(*(_pictures(clip, step) for clip in videos), strict=False), opened, held, rate_hz)
     return {key: [k * step for k in value] if key.endswith("_frames") else value for key, value in live.items()}
 
 
