@@ -19,6 +19,7 @@ from service.perception.slip.rigid import Float64
 from service.tools.open_frame import Rest
 
 _UNSEEN = 0.5  # share of the frames in which a finger's markers may be invisible
+_ALIKE = 4  # grey levels between the colour channels of a grey picture: codecs make up to 2
 
 
 class Felt(NamedTuple):
@@ -46,6 +47,11 @@ class FingerRun:
         """Whether the markers are seen in enough of the frames."""
         unseen_n = sum(markers.status in {"lost", "no_grid"} for markers in self.fields)
         return unseen_n <= _UNSEEN * len(self.fields)
+
+    @property
+    def is_grey(self) -> bool:
+        """Whether the colour channels are equal in all pictures, but for a codec's rounding."""
+        return all(int(np.ptp(picture, axis=-1).max()) <= _ALIKE for picture in self.pictures)
 
     def only(self, frames: Sequence[int]) -> "FingerRun":
         """The recording as if it had these frames alone."""

@@ -132,6 +132,8 @@ def report_of(folder: Path, step: int = 1, rate_hz: float = RATE_HZ) -> RunRepor
     fingers = list(clips.values())
     if len(clips) < _FINGERS_N:
         remarks.append("one finger's video alone: whether the object slides is not known")
+    if any(finger.shows_gel and finger.is_grey for finger in fingers):
+        remarks.append("grey pictures: the limits were set in colour")
     frames_n = min(len(finger.fields) for finger in fingers)
     new = news(fingers)
     numbers, fresh = [k * step for k in new], [finger.only(new) for finger in fingers]

@@ -154,6 +154,21 @@ def test_a_finger_that_goes_blind_in_a_run_hides_no_loss(tmp_path):
     assert 44 <= rows["box"]["lost_frame"] <= 46
 
 
+def test_grey_pictures_are_remarked_on(tmp_path, capsys):
+    for run in ("coloured", "grey"):
+        record(tmp_path / run, (5, 8), 10)
+    clips = sorted((tmp_path / "grey").iterdir())
+    for clip in clips:
+        write(clip, [np.repeat(image[..., 1:2], 3, 2) for image, _ in clip_images(clip)])
+    rows, returned = rows_of(tmp_path, tmp_path / "rows.json")
+    grey = [line for line in capsys.readouterr().err.splitlines() if "grey pictures" in line]
+    assert (set(rows), returned, grey) == (
+        {"coloured", "grey"},
+        0,
+        ["grey: grey pictures: the limits were set in colour"],
+    )
+
+
 def test_a_damaged_video_is_named(tmp_path, capsys):
     record(tmp_path / "runs" / "cut", (18, 38))
     clip = tmp_path / "runs" / "cut" / "camera_0.avi"
