@@ -67,7 +67,8 @@ def _named(runs: Sequence[Path], root: Path) -> dict[str, Path]:
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     description = (
-        "judge recorded grasps, a folder of one video a finger each: open, contact, hold, slip, lost, released"
+        "judge recorded grasps, a folder of one video a finger each: open, contact, hold, slip, lost, released."
+        " In unrectified pictures of a GelSlim of 2018 or a GelSlim 3 no frame counts as open, and no end is shown"
     )
     parser = Parser(prog="tactile-insertion judge", description=description)
     parser.add_argument("folder", type=Path, help="folder of runs, or of folders of runs")

@@ -249,6 +249,12 @@ def test_two_videos_of_one_name_are_not_mistaken_for_one_finger(tmp_path, capsys
     assert "two of its videos have one name" in capsys.readouterr().err
 
 
+def test_help_says_which_pictures_show_no_open_gel(capsys):
+    with pytest.raises(SystemExit):
+        main(["judge", "--help"])
+    assert "GelSlim 3 no frame counts as open" in " ".join(capsys.readouterr().out.split())
+
+
 @pytest.mark.parametrize("rate", ["2", "nan", "fast"])
 def test_a_rate_that_cannot_be_is_refused(tmp_path, capsys, rate):
     with pytest.raises(SystemExit):
