@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from service.cameras.capture import CameraError, Capture, decoded, now_ns
 
 IMAGES = {".png", ".jpg", ".jpeg", ".bmp"}
+_UNCOUNTED = {".mkv", ".webm"}  # their headers state no number of frames, and OpenCV makes one up from the duration
 
 
 class RecordingSource:
@@ -58,6 +59,8 @@ def clip_images(path: Path) -> Iterator[tuple[NDArray[np.uint8], float]]:
 
 def stated_frames_n(video: Path) -> int:
     """The number of frames that a video's header states, 0 if it states none."""
+    if video.suffix.lower() in _UNCOUNTED:
+        return 0
     capture = _opened(video)
     try:
         return max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))

@@ -28,10 +28,14 @@ def main(arguments: Sequence[str]) -> int:
         if path is not None:  # one that cannot be written is refused now, not after all runs
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(f"{nothing}\n", encoding="utf-8")
+    step = max(1, round(options.fps / RATE_HZ))
+    rate_hz = options.fps / step
+    if rate_hz != RATE_HZ:
+        print(f"{rate_hz:.3g} frames a second are judged; the limits were set at {RATE_HZ:g}", file=sys.stderr)
     rows, evidence, odd_n = [], {}, 0
     for name, folder in _named(folders, options.folder).items():
         try:
-            run = report_of(folder, max(1, round(options.fps / RATE_HZ)))
+            run = report_of(folder, step, rate_hz)
         except (ValueError, cv2.error) as error:
             print(f"{name}: {error}", file=sys.stderr)
             odd_n += 1
@@ -63,7 +67,8 @@ def _named(runs: Sequence[Path], root: Path) -> dict[str, Path]:
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     description = (
-        "judge recorded grasps, a folder of one video a finger each: open, contact, hold, slip, lost, released"
+        "judge recorded grasps, a folder of one video a finger each: open, contact, hold, slip, lost, released."
+        " In unrectified pictures of a GelSlim of 2018 or a GelSlim 3 no frame counts as open, and no end is shown"
     )
     parser = Parser(prog="tactile-insertion judge", description=description)
     parser.add_argument("folder", type=Path, help="folder of runs, or of folders of runs")
@@ -73,7 +78,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         "--fps",
         type=_rate,
         default=RATE_HZ,
-        help=f"frames per second of the videos, whatever their headers say ({RATE_HZ:g}); more are thinned out to that",
+        help=f"frames per second of the videos, whatever their headers say ({RATE_HZ:g}); more are thinned out",
     )
     return parser.parse_args(arguments)
 

@@ -2,39 +2,40 @@
 
 A run is a folder with one video per finger; a video in which hardly any frame shows the gel's markers is none of them.
 A recording does not state the open gel before the grasp, so it is sought in the run's own frames (`rest`). That choice
-uses the whole run; everything after it uses only earlier frames.
+uses the whole run; everything after it uses only earlier frames. Moments at which all fingers' frames repeat the ones
+before are none.
 """
 
 import itertools
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from service.cameras.recorded import clip_images, stated_frames_n
-from service.perception.markers.field import MarkerField
+from service.perception.markers.lattice import DIAMETERS_PX, find_lattice
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.slip.grasp import GraspWatch
-from service.perception.slip.imprint import ImprintChange, ImprintWatch
-from service.perception.slip.open_gel import OpenGel, shrunk
+from service.perception.slip.imprint import ImprintWatch
+from service.perception.slip.open_gel import shrunk
 from service.perception.slip.phases import EMPTY_N, ENDED, Grasp, Phase
-from service.perception.slip.rigid import Float64
 from service.perception.slip.slide import SlideWitness, slide_score
+from service.tools.finger_run import Felt, FingerRun, news
 from service.tools.live import stops_of
-from service.tools.open_frame import Rest, rest
+from service.tools.open_frame import rest
 
 RATE_HZ = 8.0  # of the recordings the thresholds were set with; headers are wrong about the rate
 VIDEOS = {".avi", ".mp4", ".mov", ".mkv", ".webm"}
 PHASES: tuple[Phase, ...] = ("open", "contact", "hold", "slip", "lost", "released")
 _LEAST_PX = 64
-_LARGE_PX, _REDUCED_PX = 480, 240  # smaller side; the filters are made for small pictures
-_UNSEEN = 0.5  # share of the frames in which a finger's markers may be invisible
+_SMALL_PX, _LARGE_PX, _REDUCED_PX = 312, 480, 240  # smaller side; the filters are made for small pictures
+_SOUGHT_N = 30  # first frames in which a grid is sought, to know how large its markers are
 _BUFFERED_N = 16  # first frames, in which a camera may still deliver pictures of an earlier grasp
 
 
@@ -46,58 +47,13 @@ class RunError(ValueError):
     """Recordings are not in the expected place."""
 
 
-class Felt(NamedTuple):
-    """`OpenGel.touch` and `OpenGel.load` of one frame."""
-
-    touch: float | None
-    load: Float64 | None
-
-
-@dataclass(slots=True)
-class FingerRun:
-    """One finger's recording after perception, frame by frame; slip score and alarm come from its markers alone."""
-
-    fields: list[MarkerField] = field(default_factory=list)
-    pictures: list[NDArray[np.uint8]] = field(default_factory=list)
-    scores: list[float] = field(default_factory=list)
-    slips: list[bool] = field(default_factory=list)
-    changes: list[ImprintChange | None] = field(default_factory=list)
-    frames_n: int = 0
-    missing_n: int = 0
-    spent_s: float = 0.0
-
-    @property
-    def shows_gel(self) -> bool:
-        """Whether the markers are seen in enough of the frames."""
-        unseen_n = sum(markers.status in {"lost", "no_grid"} for markers in self.fields)
-        return unseen_n <= _UNSEEN * len(self.fields)
-
-    def felt(self, still: Rest | None) -> list[Felt]:
-        """What the gel feels in each frame, compared with the frame at rest.
-
-        Unless it is open in that, it counts as touched wherever its markers are visible: an end cannot be shown then.
-        """
-        touches: list[float | None] = [1.0 if markers.usable else None for markers in self.fields]
-        if still is None:
-            return [Felt(touch, None) for touch in touches]
-        begun, gel = time.process_time(), OpenGel()
-        gel.learn(self.fields[still.frame], self.pictures[still.frame].astype(np.float32))
-        if still.is_open:
-            touches = [
-                gel.touch(markers, picture.astype(np.float32))
-                for markers, picture in zip(self.fields, self.pictures, strict=True)
-            ]
-        felt = [Felt(touch, gel.load(markers)) for touch, markers in zip(touches, self.fields, strict=True)]
-        self.spent_s += time.process_time() - begun
-        return felt
-
-
-def watched(clip: Path, step: int = 1) -> FingerRun:
-    """Every ``step``-th frame of one finger's recording through tracker, grasp watch and imprint.
+def watched(clip: Path, step: int = 1, rate_hz: float = RATE_HZ) -> FingerRun:
+    """Every ``step``-th frame of one finger's recording, ``rate_hz``, through tracker, grasp watch and imprint.
 
     Raises RunError if it has no frames, or small ones; CameraError for its name.
     """
     run, tracker, watch, imprint = FingerRun(), MarkerTracker(), GraspWatch(), ImprintWatch()
+    shrink = _shrink(clip)
     for whole, _ in clip_images(clip):
         run.frames_n += 1
         if (run.frames_n - 1) % step:
@@ -105,8 +61,8 @@ def watched(clip: Path, step: int = 1) -> FingerRun:
         if min(whole.shape[:2]) < _LEAST_PX:
             raise RunError(f"{clip} is {whole.shape[1]} x {whole.shape[0]}, expected {_LEAST_PX} px a side or more")
         begun = time.process_time()
-        image = _reduced(whole)
-        markers = tracker.update(image, round(len(run.fields) * 1e9 / RATE_HZ))
+        image = _reduced(whole, shrink)
+        markers = tracker.update(image, round(len(run.fields) * 1e9 / rate_hz))
         state = watch.update(markers)
         change = imprint.update(image, markers)
         picture = shrunk(image)
@@ -122,12 +78,28 @@ def watched(clip: Path, step: int = 1) -> FingerRun:
     return run
 
 
-def _reduced(image: Image) -> Image:
-    """A large picture at about 240 px, as a session's rectified ones are; others as they are."""
-    shrink = min(image.shape[:2]) // _REDUCED_PX
-    if min(image.shape[:2]) < _LARGE_PX:
+def _shrink(clip: Path) -> float:
+    """By how much a clip's pictures are reduced to be 240 px high, as a session's rectified ones are; 1: not at all.
+
+    Of those that are only somewhat larger, this depends on their markers, which must stay large enough to be found.
+    """
+    for picture, _ in itertools.islice(clip_images(clip), _SOUGHT_N):
+        side_px = int(min(picture.shape[:2]))
+        shrink = side_px / _REDUCED_PX
+        if side_px < _SMALL_PX:
+            return 1.0
+        if side_px >= _LARGE_PX:
+            return shrink
+        lattice = find_lattice(picture)
+        if lattice is not None:
+            return shrink if lattice.diameter_px >= DIAMETERS_PX[0] * shrink else 1.0
+    return 1.0
+
+
+def _reduced(image: Image, shrink: float) -> Image:
+    if shrink == 1:
         return image
-    size = (image.shape[1] // shrink, image.shape[0] // shrink)
+    size = (round(image.shape[1] / shrink), round(image.shape[0] / shrink))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
@@ -140,15 +112,16 @@ class RunReport:
     remarks: list[str]
 
 
-def report_of(folder: Path, step: int = 1) -> RunReport:
+def report_of(folder: Path, step: int = 1, rate_hz: float = RATE_HZ) -> RunReport:
     """One run up to the end of its shortest video; RunError if a video cannot be used.
 
-    Every ``step``-th frame is judged; the row counts them as in the recording, and the evidence has only these.
+    Every ``step``-th frame is judged, ``rate_hz`` of them a second; the row counts them as in the recording, and the
+    evidence has only these.
     """
     videos = clips_of(folder)
     if len({clip.stem for clip in videos}) < len(videos):
         raise RunError(f"two of its videos have one name: {', '.join(clip.name for clip in videos)}")
-    every = {clip.stem: watched(clip, step) for clip in videos}
+    every = {clip.stem: watched(clip, step, rate_hz) for clip in videos}
     missing_n = sum(finger.missing_n for finger in every.values())
     remarks = [f"{missing_n} frames of its videos cannot be decoded: damaged or cut off"] if missing_n else []
     shown = {name: finger for name, finger in every.items() if finger.shows_gel}
@@ -159,15 +132,20 @@ def report_of(folder: Path, step: int = 1) -> RunReport:
     fingers = list(clips.values())
     if len(clips) < _FINGERS_N:
         remarks.append("one finger's video alone: whether the object slides is not known")
+    if any(finger.shows_gel and finger.is_grey for finger in fingers):
+        remarks.append("grey pictures: the limits were set in colour")
     frames_n = min(len(finger.fields) for finger in fingers)
-    still = rest([finger.pictures for finger in fingers], [finger.fields for finger in fingers])
-    if still is None or not still.is_open:
+    new = news(fingers)
+    numbers, fresh = [k * step for k in new], [finger.only(new) for finger in fingers]
+    still = rest([finger.pictures for finger in fresh], [finger.fields for finger in fresh])
+    open_frame = numbers[still.frame] if still is not None and still.is_open else None
+    if open_frame is None:
         remarks.append("no frame shows open gels: they count as touched throughout, and an end cannot be shown")
     evidence = _evidence(fingers, frames_n)
-    slides = [terms is not None and bool(slide_score(terms) >= 0) for terms in evidence]
+    slides = [terms is not None and bool(slide_score(terms) >= 0) for terms in (evidence[k] for k in new)]
     statuses = [markers.status for finger in fingers for markers in finger.fields]
-    felt = [finger.felt(still) for finger in fingers]
-    whole, *alone = _stories(fingers, felt, slides, step)
+    felt = [finger.felt(still) for finger in fresh]
+    whole, *alone = _stories(fresh, felt, slides, numbers)
     row = {
         "frames_n": min(finger.frames_n for finger in fingers),
         **whole,
@@ -175,30 +153,33 @@ def report_of(folder: Path, step: int = 1) -> RunReport:
             name: {"frames_n": finger.frames_n, **story}
             for (name, finger), story in zip(clips.items(), alone, strict=True)
         },
-        "live": _live([clip for clip in videos if clip.stem in clips], still, whole, step),
-        "open_frame": still.frame * step if still is not None and still.is_open else None,
+        "live": _live([clip for clip in videos if clip.stem in clips], open_frame, whole, step, rate_hz),
+        "open_frame": open_frame,
         "ambiguous_n": statuses.count("ambiguous"),
         "refused_n": sum(status in {"lost", "no_grid", "duplicate"} for status in statuses),
         "missing_n": missing_n,
-        "ms_a_frame": 1e3 * sum(finger.spent_s for finger in fingers) / len(statuses),
+        "ms_a_frame": 1e3 * sum(finger.spent_s for finger in fresh) / len(statuses),
     }
     return RunReport(row, [None if terms is None else terms.tolist() for terms in evidence], remarks)
 
 
-def _live(videos: Sequence[Path], still: Rest | None, whole: dict[str, Any], step: int) -> dict[str, Any] | None:
+def _live(
+    videos: Sequence[Path], open_frame: int | None, whole: dict[str, Any], step: int, rate_hz: float
+) -> dict[str, Any] | None:
     """When the session's own detector would stop an arm in the held grasp; None without one, or without two gels."""
     begin = whole["hold_frame"]
     if begin is None or len(videos) < _FINGERS_N:
         return None
     ends = [whole[f"{end}_frame"] // step - EMPTY_N + 1 for end in ENDED if whole[f"{end}_frame"] is not None]
     held = range(begin // step, min(ends, default=sys.maxsize))
-    open_frame = still.frame if still is not None and still.is_open else None
-    live = stops_of(lambda: zip(*(_pictures(clip, step) for clip in videos), strict=False), open_frame, held, RATE_HZ)
+    opened = None if open_frame is None else open_frame // step
+    live = stops_of(lambda: zip(*(_pictures(clip, step) for clip in videos), strict=False), opened, held, rate_hz)
     return {key: [k * step for k in value] if key.endswith("_frames") else value for key, value in live.items()}
 
 
 def _pictures(clip: Path, step: int) -> Iterator[Image]:
-    return (_reduced(whole) for whole, _ in itertools.islice(clip_images(clip), 0, None, step))
+    shrink = _shrink(clip)
+    return (_reduced(whole, shrink) for whole, _ in itertools.islice(clip_images(clip), 0, None, step))
 
 
 def _evidence(fingers: Sequence[FingerRun], frames_n: int) -> list[NDArray[np.float64] | None]:
@@ -212,10 +193,11 @@ def _evidence(fingers: Sequence[FingerRun], frames_n: int) -> list[NDArray[np.fl
 
 
 def _stories(
-    fingers: Sequence[FingerRun], felt: Sequence[Sequence[Felt]], slides: Sequence[bool], step: int
+    fingers: Sequence[FingerRun], felt: Sequence[Sequence[Felt]], slides: Sequence[bool], numbers: Sequence[int]
 ) -> list[dict[str, Any]]:
     """For the grasp and each finger: the first frame of each phase, null if it never came, and the largest scores.
 
+    ``numbers`` are the frames' in the recording.
     The grasp slips by the slide witness, a finger by its markers. ``borne_frames``: something else bore the object.
     """
     grasp = Grasp(len(fingers))
@@ -228,14 +210,14 @@ def _stories(
         for one, history, frames in zip(followed, phases, borne, strict=True):
             history.append(one.phase)
             if one.borne:
-                frames.append(k * step)
+                frames.append(numbers[k])
     return [
-        {**_firsts(history, step), "borne_frames": frames, "largest_score": _largest(history, whose)}
+        {**_firsts(history, numbers), "borne_frames": frames, "largest_score": _largest(history, whose)}
         for history, frames, whose in zip(phases, borne, [fingers, *([finger] for finger in fingers)], strict=True)
     ]
 
 
-def _firsts(phases: list[Phase], step: int) -> dict[str, int | None]:
+def _firsts(phases: list[Phase], numbers: Sequence[int]) -> dict[str, int | None]:
     """First frame of each phase of the first held grasp, or else of the first touch.
 
     A grasp that ends within the first frames counts only if none follows.
@@ -249,7 +231,7 @@ def _firsts(phases: list[Phase], step: int) -> dict[str, int | None]:
     first: dict[str, int | None] = {f"{phase}_frame": None for phase in PHASES[1:]}
     for chosen in order[:1]:
         first |= {
-            f"{phase}_frame": (begins[chosen] + grasps[chosen].index(phase)) * step
+            f"{phase}_frame": numbers[begins[chosen] + grasps[chosen].index(phase)]
             for phase in PHASES[1:]
             if phase in grasps[chosen]
         }

@@ -39,22 +39,31 @@ class Rest(NamedTuple):
 def rest(pictures: Sequence[Pictures], fields: Sequence[Sequence[MarkerField]]) -> Rest | None:
     """The gels at rest; None if there is no frame to compare with others.
 
+    A frame that repeats the one before, as a recorder of a fixed rate adds them, is as much disturbed.
+
     ``pictures`` of each finger: shrunk, uint8 [h, w, channels]; ``fields``: the markers in the same frames.
     """
     frames_n = min(len(one) for one in pictures)
-    off = np.array([[irregular_pitch(field) for field in one[:frames_n]] for one in fields])
+    off = np.array([_irregular(one[:frames_n]) for one in fields])
     rough = np.array([_roughness(one[:frames_n]) for one in pictures])
     for disturbance in (off, rough):
         disturbance[:, : min(_BUFFERED_N, frames_n - 1)] = np.inf
     disturbed = _calm(_beyond_least(off) + _beyond_least(rough))
+    if not np.isfinite(disturbed.min()):
+        return None
     resting = disturbed <= disturbed.min() + _AS_OPEN
     looks_open = resting & (off.max(0) <= _REGULAR_PITCH)
     is_open = bool(looks_open.any())
-    if not is_open and not np.isfinite(disturbed.min()):
-        return None
     among = looks_open if is_open else resting
     first = int(among.argmax())
     return Rest(first + int(np.where(among, disturbed, np.inf)[first : first + _FIRST_N].argmin()), is_open)
+
+
+def _irregular(fields: Sequence[MarkerField]) -> list[float]:
+    off: list[float] = []
+    for field in fields:
+        off.append(off[-1] if off and field.status == "duplicate" else irregular_pitch(field))
+    return off
 
 
 def _beyond_least(disturbance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -47,7 +47,8 @@ class MarkerTracker:
     """Follows the markers of one finger; finds the grid's size, pitch and place in the first frame that shows one.
 
     No frame content raises: a black, white, covered or missing frame gives a field with status "lost" or "no_grid", a
-    repeated or late stamp "duplicate". A frame that is no uint8 image or changes size raises ValueError.
+    repeated frame or late stamp "duplicate"; a repeated frame that was lost is lost again. A frame that is no uint8
+    image or changes size raises ValueError.
     """
 
     def __init__(self) -> None:
@@ -62,6 +63,7 @@ class MarkerTracker:
         self._last_ns: int | None = None
         self._last_image: NDArray[np.uint8] | None = None
         self._last_field: MarkerField | None = None
+        self._why_lost = ""  # of the last image; "" if it was not
 
     def update(self, image: NDArray[np.uint8] | None, captured_ns: int) -> MarkerField:
         """Track one rectified frame, uint8 [height, width, 3] BGR or [height, width]; None stands for a missing one."""
@@ -71,11 +73,15 @@ class MarkerTracker:
         if self._last_ns is not None and captured_ns <= self._last_ns:
             return self._repeat(captured_ns, f"stamp {captured_ns} is not after {self._last_ns}")
         if self._last_image is not None and _repeats(image[::7], self._last_image[::7]):
+            if self._why_lost:
+                return self._lost(captured_ns, self._why_lost)
             return self._repeat(captured_ns, "the frame repeats the one before")
         self._last_image = image
         if self._lattice is None and not self._start(image):
             return empty_field(captured_ns, "no_grid", "no marker grid of at least 5 x 5 nodes in the frame")
-        return self._track(image, captured_ns)
+        field = self._track(image, captured_ns)
+        self._why_lost = field.reason if field.status == "lost" else ""
+        return field
 
     def _check(self, image: NDArray[np.uint8]) -> None:
         if image.dtype != np.uint8 or image.ndim not in {2, 3} or (image.ndim == 3 and image.shape[2] != 3):

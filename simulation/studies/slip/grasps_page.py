@@ -186,7 +186,9 @@ def _meaning(data: Row, left_out: Row) -> str:
           at the end. An end counts as [released](decisions/0190-a-reversed-load-is-a-release.md) if the load on a gel
           reversed before, otherwise as a loss. A live session calls every end that it did not command a loss.
         - **An open gel is not always recorded.** {data["without_open_frame"]} held runs contain no frame of one, and
-          the object counts as held throughout. A live session learns its gels before each grasp.
+          the object counts as held throughout. A live session learns its gels before each grasp. In unrectified
+          pictures of a GelSlim of 2018 or a GelSlim 3 no frame counts as open: their prints look
+          [too irregular](decisions/0101-an-open-gel-has-a-regular-print.md).
         - **Many held objects slide, too:** tubes and screwdrivers turn in the hand. Their alarms count as false here.
           Alarms with the object held out: {", ".join(left_out["false_runs"]) or "none"}.
         - **No look-ahead.** Nothing is compared between runs, and no phase uses later frames.

@@ -13,7 +13,8 @@ from service.contract import ContractError, ModelCard, Sensor
 from service.contract.model_card import CARD_KEY
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration
 from service.recordings.reader import Recording, RecordingError
-from service.tools.judge import FingerRun, RunError, watched
+from service.tools.finger_run import FingerRun
+from service.tools.judge import RunError, watched
 from simulation.scene.parts import Gel
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import load_scene

@@ -8,6 +8,8 @@ import pytest
 
 from service.__main__ import main
 from service.cameras.recorded import clip_images
+from service.perception.markers.tracker import MarkerTracker
+from service.tools.live import stops_of
 from tests.service.perception.real import real_data
 from tests.service.perception.synthetic import draw, grid
 
@@ -152,6 +154,21 @@ def test_a_finger_that_goes_blind_in_a_run_hides_no_loss(tmp_path):
     assert 44 <= rows["box"]["lost_frame"] <= 46
 
 
+def test_grey_pictures_are_remarked_on(tmp_path, capsys):
+    for run in ("coloured", "grey"):
+        record(tmp_path / run, (5, 8), 10)
+    clips = sorted((tmp_path / "grey").iterdir())
+    for clip in clips:
+        write(clip, [np.repeat(image[..., 1:2], 3, 2) for image, _ in clip_images(clip)])
+    rows, returned = rows_of(tmp_path, tmp_path / "rows.json")
+    grey = [line for line in capsys.readouterr().err.splitlines() if "grey pictures" in line]
+    assert (set(rows), returned, grey) == (
+        {"coloured", "grey"},
+        0,
+        ["grey: grey pictures: the limits were set in colour"],
+    )
+
+
 def test_a_damaged_video_is_named(tmp_path, capsys):
     record(tmp_path / "runs" / "cut", (18, 38))
     clip = tmp_path / "runs" / "cut" / "camera_0.avi"
@@ -170,6 +187,31 @@ def test_large_pictures_and_fast_videos_are_judged_as_small_slow_ones(tmp_path):
     rows, _ = rows_of(tmp_path / "fast", tmp_path / "rows.json", "--fps", "30")
     assert (rows["box"]["contact_frame"], rows["box"]["frames_n"]) == (72, 192)
     assert 4 * 38 <= rows["box"]["lost_frame"] <= 4 * 40
+
+
+@pytest.mark.parametrize(("fps", "rate_hz", "named"), [("6", 6, "6"), ("8", 8, ""), ("12", 6, "6"), ("20", 10, "10")])
+def test_frames_have_the_stamps_of_the_rate_that_is_judged_and_it_is_named(
+    tmp_path, capsys, monkeypatch, fps, rate_hz, named
+):
+    stamps_ns, rates_hz = [], []
+
+    class Tracker(MarkerTracker):
+        def update(self, image, captured_ns):
+            stamps_ns.append(captured_ns)
+            return super().update(image, captured_ns)
+
+    def stops(pairs, open_frame, held, given_hz):
+        rates_hz.append(given_hz)
+        return stops_of(pairs, open_frame, held, given_hz)
+
+    monkeypatch.setattr("service.tools.judge.MarkerTracker", Tracker)
+    monkeypatch.setattr("service.tools.judge.stops_of", stops)
+    record(tmp_path / "box", (18, 38), repeats=2 if rate_hz < int(fps) else 1)
+    rows_of(tmp_path, tmp_path / "rows.json", "--fps", fps)
+    assert stamps_ns[:3] == [round(k * 1e9 / rate_hz) for k in range(3)]
+    assert rates_hz == [rate_hz]
+    err = capsys.readouterr().err
+    assert (f"{named} frames a second are judged; the limits were set at 8" in err) == bool(named)
 
 
 def test_runs_of_one_name_are_told_apart_and_a_wrong_folder_destroys_no_rows(tmp_path):
@@ -205,6 +247,12 @@ def test_two_videos_of_one_name_are_not_mistaken_for_one_finger(tmp_path, capsys
     rows, returned = rows_of(tmp_path, tmp_path / "rows.json")
     assert (rows, returned) == ({}, 1)
     assert "two of its videos have one name" in capsys.readouterr().err
+
+
+def test_help_says_which_pictures_show_no_open_gel(capsys):
+    with pytest.raises(SystemExit):
+        main(["judge", "--help"])
+    assert "GelSlim 3 no frame counts as open" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.parametrize("rate", ["2", "nan", "fast"])

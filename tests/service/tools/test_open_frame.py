@@ -1,6 +1,7 @@
 """The open gel is found among unlabelled frames, and is not invented where there is none."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,24 @@ def test_a_gel_touched_all_along_is_not_called_open_even_where_the_touch_walks_a
     still = at_rest(lighter, rng, dome=2.0)
     assert not still.is_open
     assert lighter[still.frame] == 0.4, "the zero of the loads is where they are least"
+
+
+@pytest.mark.parametrize("frames_n", [8, 9, 10])
+def test_no_frame_of_a_few_is_taken_as_open_where_none_has_neighbours_to_compare(frames_n):
+    assert at_rest([0.0] * frames_n, np.random.default_rng(0)) is None
+
+
+def test_repeated_frames_hide_no_open_gel_and_make_none():
+    rng = np.random.default_rng(1)
+    pictures, fields = finger([0.0] * 30 + [1.0] * 30, rng)
+    shown = [k for k in range(60) for _ in range(2)]
+    repeated = [replace(fields[k], status="duplicate") if n % 2 else fields[k] for n, k in enumerate(shown)]
+    still = rest([[pictures[k] for k in shown]] * 2, [repeated] * 2)
+    assert still is not None
+    assert still.is_open
+    assert still.frame < 60
+    alone = [replace(field, status="lost") if k % 2 else field for k, field in enumerate(fields)]
+    assert rest([pictures] * 2, [alone] * 2) is None, "of no frame the neighbours are known"
 
 
 def test_a_lens_and_a_camera_at_an_angle_leave_a_print_regular():

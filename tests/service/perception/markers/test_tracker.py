@@ -207,6 +207,26 @@ def test_a_blank_frame_is_lost_not_an_error(level):
     assert identity(tracker.update(draw(rest, rng), 4), rest) >= 0.99
 
 
+def test_a_picture_that_turns_into_unchanging_black_is_lost_for_good_and_so_is_its_finger():
+    rng, rest = np.random.default_rng(8), grid()
+    black = np.zeros((320, 327, 3), np.uint8)
+    tracker, slip = MarkerTracker(), SlipDetector()
+    slip.rearm(tracker.update(draw(rest, rng), 0))
+    fields = [tracker.update(black, k * FRAME_NS) for k in range(1, 31)]
+    assert {field.status for field in fields} == {"lost"}
+    assert not any(field.valid.any() for field in fields)
+    assert {field.reason for field in fields} == {"0 markers in sight"}
+    states = [slip.update(field).state for field in fields]
+    assert (states[0], states[-1]) == ("unknown", "lost")
+    assert tracker.update(draw(rest, rng), 31 * FRAME_NS).status == "tracking"
+
+
+def test_a_repeated_frame_after_a_missing_one_is_the_one_before_that():
+    image, tracker = draw(grid(), np.random.default_rng(8)), MarkerTracker()
+    fields = [tracker.update(one, k) for k, one in enumerate((image, None, image))]
+    assert [field.status for field in fields] == ["tracking", "lost", "duplicate"]
+
+
 def test_a_frame_of_another_size_or_type_is_refused():
     tracker = MarkerTracker()
     tracker.update(draw(grid(), np.random.default_rng(9)), 0)
