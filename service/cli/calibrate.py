@@ -24,7 +24,7 @@ from service.tools.calibrate import (
     of_sensor,
     rectify,
     refusal,
-    remark,
+    remarks,
     serial_of,
     still_image,
 )
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str]) -> int:
         if sensor is None:
             sensor = _new_profile(options, image, finger)
         fits[finger] = fit = fit_camera(image, finger, sensor, serial_of(url))
-        print(_line(finger, fit))
+        print(_line(finger, fit, sensor))
         _draw(options.pictures, finger, image, fit)
     check_two_cameras((options.camera_left, fits["left"]), (options.camera_right, fits["right"]))
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -77,7 +77,7 @@ def _measure(options: argparse.Namespace) -> int:
         raise
     refused = refusal(fit, sensor)
     _write(options.json, {"picture": path.name, "sensor": sensor.name, **figures(fit, refused)})
-    print(_line(path.name, fit) + ("" if refused is None else f"\nno calibration of {sensor.name}: {refused}"))
+    print(_line(path.name, fit, own) + ("" if refused is None else f"\nno calibration of {sensor.name}: {refused}"))
     _draw(options.pictures, path.stem, picture, fit)
     return 0
 
@@ -111,12 +111,12 @@ def _new_profile(options: argparse.Namespace, image: np.ndarray, name: str) -> S
     return sensor
 
 
-def _line(name: str, fit: Fit) -> str:
+def _line(name: str, fit: Fit, sensor: Sensor) -> str:
     rows, columns = fit.grid.shape
-    odd = remark(fit)
     return (
         f"{name:<6} {columns} x {rows} markers, {fit.found_share:.1%} of them found,"
-        f" {fit.residual_px:.2f} px RMS off the regular grid" + ("" if odd is None else f"\n{name}: {odd}")
+        f" {fit.residual_px:.2f} px RMS off the regular grid"
+        + "".join(f"\n{name}: {odd}" for odd in remarks(fit, sensor))
     )
 
 

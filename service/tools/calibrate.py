@@ -5,6 +5,7 @@ The marker grid is regular on the gel, so the mapping that makes its image regul
 
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from http.client import HTTPException
@@ -37,6 +38,7 @@ MAX_OFF = 0.03  # pitches, RMS; resting gels of three real sensors are below 0.0
 _OTHER_PITCH = 0.15  # markers this much closer or further apart than the profile says are another gel's
 _ONE_PLACE = 0.01  # pitches; markers of two real fingers lie 0.13 or more apart in their pictures, of one 0.002
 _BENT = 0.1  # pitches, by which rows may be bent beyond the lens without a remark
+_PITCHES_OFF = {1: "half a pitch", 2: "a pitch"}  # by the number of rows that are missing at one edge or other
 WAIT_S = 10.0
 _DARK, _GLARE = 12, 243  # mean grey levels of a frame without light, and of one with too much
 
@@ -182,20 +184,43 @@ def _nominal_pitch_px(sensor: Sensor) -> float:
     return float(np.mean(steps))
 
 
-def remark(fit: Fit) -> str | None:
-    """What a person should look at in a fit that is a calibration."""
+def remarks(fit: Fit, sensor: Sensor) -> list[str]:
+    """What a person should look at in a fit that is a calibration of this sensor."""
+    return [*_other_shape(fit.grid, sensor), *_bent(fit)]
+
+
+def _other_shape(grid: GridFit, sensor: Sensor) -> Iterator[str]:
+    """Where the rows or columns in view are not the profile's, and so the frame's place is uncertain."""
+    expected_n = (sensor.marker_rows, sensor.marker_columns)
+    for lines, in_view_n, kept_n, whole_n in zip(
+        ("rows", "columns"), grid.in_view, grid.shape, expected_n, strict=True
+    ):
+        if in_view_n > kept_n:
+            yield (
+                f"{in_view_n} {lines} in view, {kept_n} kept: those with the most markers; where a few spots decide,"
+                " the frame may be a whole pitch off"
+            )
+        elif kept_n < whole_n:
+            away = _PITCHES_OFF.get(whole_n - kept_n, f"{(whole_n - kept_n) / 2:g} pitches")
+            yield (
+                f"{kept_n} of {whole_n} {lines} in view: at which edge others are missing cannot be told, so the frame"
+                f" may be {away} off"
+            )
+
+
+def _bent(fit: Fit) -> Iterator[str]:
+    """How far rows are bent beyond the lens."""
     warp = fit.camera.warp
     if warp is None:
-        return None
+        return
     u, v = np.meshgrid(*np.linspace(warp.low, warp.high, 9).T)
     places = np.stack([u.ravel(), v.ravel()], 1)
     bent = float(np.linalg.norm(warp.apply(places) - places, axis=1).max()) / fit.pitch_px
-    if bent <= _BENT:
-        return None
-    return (
-        f"rows are bent by up to {bent:.2f} of the markers' distance, beyond the lens: a gel glued unevenly or seen in"
-        " a mirror is so; if this one is flat, something presses it"
-    )
+    if bent > _BENT:
+        yield (
+            f"rows are bent by up to {bent:.2f} of the markers' distance, beyond the lens: a gel glued unevenly or"
+            " seen in a mirror is so; if this one is flat, something presses it"
+        )
 
 
 def fit_camera(image: NDArray[np.uint8], finger: Finger, sensor: Sensor, serial: str = "") -> Fit:

@@ -39,7 +39,8 @@ class GridFit:
     """The markers: their grid cells int [n, 2] (column, row, from 0), raw px [n, 2], and the fitted model.
 
     ``shape`` is (rows, columns), ``pitch_px`` the mean distance in the raw frame, ``diameter_px`` likewise.
-    ``displaced_n`` visible markers lie off their nodes.
+    ``displaced_n`` visible markers lie off their nodes. ``in_view`` is the shape before rows or columns beyond the
+    sensor's number were left out.
     """
 
     cells: NDArray[np.intp]
@@ -49,6 +50,7 @@ class GridFit:
     pitch_px: float
     diameter_px: float
     displaced_n: int
+    in_view: tuple[int, int]
 
     @property
     def present(self) -> BoolArray:
@@ -134,13 +136,13 @@ def _refined(image: Image, start: Lattice, sensor: Sensor | None) -> GridFit | N
     cells, raw = np.stack([columns, rows], 1), start.xy_px[start.detected].astype(np.float64)
     size = (image.shape[1], image.shape[0])
     model, _, _ = settled(raw, cells, size, _ROUGH)
-    diameter = start.diameter_px / start.pitch_px  # in pitches
+    diameter, in_view = start.diameter_px / start.pitch_px, (0, 0)  # in pitches; rows and columns
     for last, gate in zip((False, False, False, True), _GATES, strict=True):
         if model is None:
             return None
         spots, centres = _search(image, model, cells, start.pitch_px, diameter)
         cells, raw = _matched(spots, centres, model, gate, size)
-        cells, raw = _kept(cells, raw, sensor)
+        cells, raw, in_view = _kept(cells, raw, sensor)
         if len(cells) < 25:
             return None
         model, cells, raw = settled(raw, cells, size, _TERMS if last else _ROUGH)
@@ -154,7 +156,7 @@ def _refined(image: Image, start: Lattice, sensor: Sensor | None) -> GridFit | N
     displaced = _displaced(spots, centres, cells)
     projection = model.scaled(1.0, -low.astype(np.float64))
     rows_columns = (int(shape[1]), int(shape[0]))
-    return GridFit(cells - low, raw, projection, rows_columns, start.pitch_px, start.diameter_px, displaced)
+    return GridFit(cells - low, raw, projection, rows_columns, start.pitch_px, start.diameter_px, displaced, in_view)
 
 
 def _displaced(spots: Candidates, centres: Float64, cells: NDArray[np.intp]) -> int:
@@ -208,26 +210,31 @@ def _matched(
     return nodes[chosen], raw[chosen]
 
 
-def _kept(cells: NDArray[np.intp], raw: Float64, sensor: Sensor | None) -> tuple[NDArray[np.intp], Float64]:
-    """Remove stray rows and columns at the borders; keep at most the sensor's number, where most markers are."""
+def _kept(
+    cells: NDArray[np.intp], raw: Float64, sensor: Sensor | None
+) -> tuple[NDArray[np.intp], Float64, tuple[int, int]]:
+    """Remove stray rows and columns at the borders; keep at most the sensor's number, where most markers are.
+
+    Also how many rows and columns there were, before some of them were left out.
+    """
     most = (256, 256) if sensor is None else (sensor.marker_columns, sensor.marker_rows)
+    longest = [0, 0]
     for _ in range(2):
         for axis in (0, 1):
             if not len(cells):
-                return cells, raw
+                return cells, raw, (0, 0)
             low = int(cells[:, axis].min())
             counts = np.bincount(cells[:, axis] - low)
-            begin, end = _window(counts, most[axis])
+            begin, end = _run(counts)
+            longest[axis] = max(longest[axis], end - begin)
+            begin, end = _window(counts, begin, end, most[axis])
             keep = (cells[:, axis] >= low + begin) & (cells[:, axis] < low + end)
             cells, raw = cells[keep], raw[keep]
-    return cells, raw
+    return cells, raw, (longest[1], longest[0])
 
 
-def _window(counts: NDArray[np.intp], most: int) -> tuple[int, int]:
-    """The stretch of present rows, [begin, end), at most ``most`` long, with the most markers.
-
-    If there are more than a view beyond the usual edge could add, it is another sensor, and left whole.
-    """
+def _run(counts: NDArray[np.intp]) -> tuple[int, int]:
+    """The stretch of present rows, [begin, end)."""
     there = counts >= _ROW_SHARE * np.percentile(counts[counts > 0], 80)
     middle = int(np.argmax(np.convolve(counts, np.ones(5), "same")))
     begin = end = middle
@@ -235,6 +242,14 @@ def _window(counts: NDArray[np.intp], most: int) -> tuple[int, int]:
         begin -= 1
     while end < len(counts) and (there[end] or end == middle):
         end += 1
+    return begin, end
+
+
+def _window(counts: NDArray[np.intp], begin: int, end: int, most: int) -> tuple[int, int]:
+    """At most ``most`` of these rows, those with the most markers.
+
+    If there are more than a view beyond the usual edge could add, it is another sensor, and left whole.
+    """
     if most < end - begin <= _SPARE * most:
         sums = np.convolve(counts[begin:end], np.ones(most), "valid")
         begin += int(np.argmax(sums))

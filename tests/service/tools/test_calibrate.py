@@ -13,7 +13,7 @@ from service.perception.finger import TactileFinger
 from service.perception.lens import Warp
 from service.perception.markers.fingerprint import likeness
 from service.perception.rectification import Calibration, CalibrationError
-from service.tools.calibrate import fit_camera, remark
+from service.tools.calibrate import fit_camera, remarks
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.worlds import load_scene
@@ -176,9 +176,31 @@ def test_rows_that_are_bent_beyond_the_lens_are_remarked_on():
     """A gel glued unevenly is so, and one that something presses."""
     camera = renderer("left", 0)
     flat = fit_camera(still(camera), "left", Sensor.load())
-    assert remark(flat) is None
+    assert remarks(flat, Sensor.load()) == []
     bulge = Warp(np.zeros(2), np.full(2, 300.0), np.array([[0.0, 0.0, 0.0, 0.3, 0.0, 0.0]] * 2) * flat.pitch_px)
-    assert "something presses it" in str(remark(flat._replace(camera=replace(flat.camera, warp=bulge))))
+    assert "something presses it" in str(remarks(flat._replace(camera=replace(flat.camera, warp=bulge)), Sensor.load()))
+
+
+@pytest.mark.parametrize(
+    ("shape", "named"),
+    [
+        ({"marker_rows": 19}, "20 rows in view, 19 kept"),
+        ({"marker_columns": 20}, "21 columns in view, 20 kept"),
+        (
+            {"marker_rows": 21},
+            "20 of 21 rows in view: at which edge others are missing cannot be told, so the frame may be half a",
+        ),
+        (
+            {"marker_columns": 23},
+            "21 of 23 columns in view: at which edge others are missing cannot be told, so the frame may be a p",
+        ),
+    ],
+)
+def test_a_frame_whose_place_is_uncertain_is_remarked_on(shape, named):
+    sensor = Sensor.load()
+    other = sensor.model_copy(update=shape)
+    [line] = remarks(fit_camera(still(renderer("left", 0)), "left", other), other)
+    assert line.startswith(named)
 
 
 @pytest.mark.real_data
