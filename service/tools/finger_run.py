@@ -90,7 +90,7 @@ class FingerRun:
         return felt
 
 
-def news(fingers: Sequence[FingerRun]) -> list[int]:
+def new_frames(fingers: Sequence[FingerRun]) -> list[int]:
     """The frames, up to the end of the shortest recording, in which at least one finger's is no repeated one."""
     pairs = zip(*(finger.fields for finger in fingers), strict=False)
     return [k for k, pair in enumerate(pairs) if any(markers.status != "duplicate" for markers in pair)]

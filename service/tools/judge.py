@@ -26,7 +26,7 @@ from service.perception.slip.imprint import ImprintWatch
 from service.perception.slip.open_gel import shrunk
 from service.perception.slip.phases import EMPTY_N, ENDED, Grasp, Phase
 from service.perception.slip.slide import SlideWitness, slide_score
-from service.tools.finger_run import Felt, FingerRun, news
+from service.tools.finger_run import Felt, FingerRun, new_frames
 from service.tools.live import stops_of
 from service.tools.open_frame import rest
 
@@ -135,7 +135,7 @@ def report_of(folder: Path, step: int = 1, rate_hz: float = RATE_HZ) -> RunRepor
     if any(finger.shows_gel and finger.is_grey for finger in fingers):
         remarks.append("grey pictures: the limits were set in colour")
     frames_n = min(len(finger.fields) for finger in fingers)
-    new = news(fingers)
+    new = new_frames(fingers)
     numbers, fresh = [k * step for k in new], [finger.only(new) for finger in fingers]
     still = rest([finger.pictures for finger in fresh], [finger.fields for finger in fresh])
     open_frame = numbers[still.frame] if still is not None and still.is_open else None

@@ -30,7 +30,7 @@ def drawn_starts(scene: Scene, count: int, seed: int) -> list[tuple[float, float
 def tasks(
     worlds: Sequence[World], objects: Mapping[str, Scene], count: int, seed: int, models: Path, made_by: str, **job: Any
 ) -> list[Task]:
-    """``count`` insertions of each pair, ordered by start: the same of an object in every world, in other grasps.
+    """``count`` insertions of each pair, ordered by start. An object has the same starts in every world.
 
     ``job``: fields of `Job` shared by all. Raises SceneError where a world and an object do not fit.
     """
@@ -39,11 +39,14 @@ def tasks(
             world.around(scene)
     starts = {name: drawn_starts(scene, count, hash_seed(seed, scene.number)) for name, scene in objects.items()}
     return [
-        Task(models, job_in(world, name, index, starts[name][index], drawn, **job), made_by)
+        Task(
+            models,
+            job_in(world, name, index, starts[name][index], hash_seed(seed, world.number, scene.number, index), **job),
+            made_by,
+        )
         for index in range(count)
         for world in worlds
         for name, scene in objects.items()
-        for drawn in [hash_seed(seed, world.number, scene.number, index)]
     ]
 
 

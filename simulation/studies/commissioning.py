@@ -43,7 +43,7 @@ COUNTED = (
 )
 AFTER_WORK = "after_work"
 VERSIONS = ("released", "after_50", "after_150", AFTER_WORK)
-PROBES, WORK, SCORING, TIMING = 1, 2, 3, 4
+PROBES, WORK, SCORING, TIMING = 1, 2, 3, 5  # 4: `wiring.SIGNS`
 FEW = 50
 REFUSED, STAYS = 2, 3
 """Exit statuses of `training adapt`: invalid input, such as nothing to learn from, and a release that stays."""

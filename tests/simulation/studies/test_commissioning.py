@@ -85,6 +85,27 @@ def test_the_signs_are_those_of_the_first_object_that_touches_something(tmp_path
     assert (signs, folder) == ([row[ends[asked]]] * 4, tmp_path / asked)
 
 
+def test_what_follows_the_signs_reckons_with_the_lateness_that_the_presses_tell(tmp_path, monkeypatch):
+    jobs = {}
+
+    def played(_cell, _plan, name, todo, **_):
+        jobs[name] = list(todo)
+        if name == "probes":
+            raise InterruptedError("enough")
+        return [{"reason": "", "trials": [{"decision": {"estimate": {}}}], "robot_s": 1.0}] * len(todo)
+
+    monkeypatch.setattr(commissioning, "_played", played)
+    monkeypatch.setattr(commissioning, "named_mistakes", lambda _: [])
+    monkeypatch.setattr(commissioning, "timed", lambda *_, **__: {"late_s": 0.3, "robot_s": 60.0})
+    with pytest.raises(InterruptedError, match="enough"):
+        commission(Cell(World(), load_objects(OBJECTS), tmp_path, 1), Plan(tmp_path, tmp_path, 20, 1))
+    assert {job["late_s"] for job in jobs["signs-1"]} == {None}
+    assert {job["late_s"] for job in jobs["probes"]} == {0.3}
+    (probing_mm_s,) = {job["client"]["ramps"]["descend"]["speed_mm_s"] for job in jobs["probes"]}
+    assert probing_mm_s * 0.3 < 1.5
+    assert probing_mm_s < jobs["signs-1"][0]["client"]["ramps"]["descend"]["speed_mm_s"]
+
+
 def test_the_page_bears_a_run_that_only_asked_for_signs():
     named = {"good": [], "good, x reversed": ["corrections in x reach the arm reversed"]}
     rows = [
