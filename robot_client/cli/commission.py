@@ -8,19 +8,28 @@ from pathlib import Path
 from robot_client.cli.check import hello_of
 from robot_client.cli.insert import fixture_of, live_ports, make_plan
 from robot_client.cli.terminal import Outcome, rehearsed, show, show_steps, stop_on_signals, warning
-from robot_client.insertion.events import Event, FromService
-from robot_client.insertion.state import Phase, Plan, State
+from robot_client.insertion.state import Phase, Plan
 from robot_client.ports import DriverError, Gripper
+from robot_client.session.commission.answers import Answered, Answers
 from robot_client.session.commission.kept_gripper import KeptGripper
 from robot_client.session.commission.lateness import MOST_N, PLACE, slow_and_fast
 from robot_client.session.commission.pictures import picture_of
 from robot_client.session.commission.record import RECORD, Record, read_record
-from robot_client.session.commission.run import FITS, PRESSES, REACH, Commissioning, Ended, errors, second_grip_n
+from robot_client.session.commission.run import (
+    FITS,
+    PER_GRASP,
+    PRESSES,
+    REACH,
+    Commissioning,
+    Ended,
+    errors,
+    second_grip_n,
+)
 from robot_client.session.commission.taught import CELL, teach
-from robot_client.session.commission.wiring import SIDES, probe_of
+from robot_client.session.commission.wiring import SIDES
 from robot_client.session.cycle import CycleSettings, is_empty
 from robot_client.session.recorder import Recorder, check_takes_files
-from robot_client.session.runner import Observer, Runner, to_the_end
+from robot_client.session.runner import Runner, to_the_end
 from robot_client.session.stops import StopWatch
 from robot_client.settings import Settings, SettingsError, Task
 from service.contract import wire
@@ -98,7 +107,7 @@ def _steps(probes_n: int, path: Path, record: Record | None, grips_n: Sequence[f
     done_n = first_n if record is None else max(first_n, record.done_n)
     grips = " and ".join(f"{grip_n:g} N" for grip_n in grips_n if grip_n)
     return [
-        "put the object into the fixture and regrasp it, before each probe",
+        f"regrasp the object from its fixture: before each probe, and before every {PER_GRASP} of the last ones",
         f"probe at {_places(SIDES)}: are the signs right?",
         f"press 7 to {MOST_N} times at {_places((PLACE,))}, at two speeds: how late are pictures and arm?",
         f"press at {_places(PRESSES)} until the gel slides" + (f", at {grips}" if grips else ""),
@@ -109,27 +118,6 @@ def _steps(probes_n: int, path: Path, record: Record | None, grips_n: Sequence[f
 
 def _places(of: tuple[tuple[float, float], ...]) -> str:
     return ", ".join(f"{x:+g} mm {theta:+g} deg" for x, theta in of)
-
-
-class Felt(Observer):
-    """Observer that keeps a probe's one answer."""
-
-    def __init__(self) -> None:
-        self.answer: wire.Correction | wire.NoDecision | None = None
-        self.gels: dict[Finger, str] = {}
-        self.rates_hz: tuple[float, ...] = ()
-        self.slid_mm: float | None = None
-
-    def on_event(self, state: State, event: Event) -> None:  # noqa: ARG002 the protocol's signature
-        if not isinstance(event, FromService):
-            return
-        if isinstance(event.message, wire.ServiceHello):
-            self.gels = {camera.finger: camera.gel for camera in event.message.cameras}
-            self.rates_hz = tuple(camera.frame_rate_hz for camera in event.message.cameras if camera.frame_rate_hz)
-        if isinstance(event.message, wire.Slip):
-            self.slid_mm = event.message.pressed_mm
-        if isinstance(event.message, wire.Correction | wire.NoDecision):
-            self.answer = event.message
 
 
 class Probing:
@@ -143,12 +131,19 @@ class Probing:
     async def probe(self, x_mm: float, theta_deg: float) -> Ended:
         return await self._run(self._probed(self._settings, x_mm, theta_deg), self._settings.make_gripper())
 
+    async def several(self, places: Sequence[tuple[float, float]], answered: Callable[[Answered], None]) -> Ended:
+        """Probes at these errors with one grasp, each with the object held upright: the signs are known."""
+        first, *others = (self._probed(self._settings, *place) for place in places)
+        starts = tuple(plan.approach for plan in others)
+        plan = first.model_copy(update={"starts": starts, "signs_known": True})
+        return await self._run(plan, self._settings.make_gripper(), answered)
+
     async def press(self, grip_n: float | None, x_mm: float, theta_deg: float) -> Ended:
         """A probe that goes on until the gel slides, with this grip."""
         gripping = with_grip(self._settings, grip_n)
         plan = self._probed(gripping, x_mm, theta_deg).model_copy(update={"until_slip": True})
         ended = await self._run(plan, gripping.make_gripper())
-        return ended._replace(probe=ended.probe.model_copy(update={"grip_n": grip_n}))
+        return ended._replace(probes=tuple(one.model_copy(update={"grip_n": grip_n}) for one in ended.probes))
 
     async def press_at(self, x_mm: float, theta_deg: float, fast: bool) -> Ended:
         plan = make_plan(self._settings, x_mm, theta_deg, None, None)
@@ -199,25 +194,25 @@ class Probing:
         plan = make_plan(settings, x_mm, theta_deg, None, None)
         return plan.model_copy(update={"purpose": "probe", "lease": plan.lease.late_by(self.late_s())})
 
-    async def _run(self, plan: Plan, gripper: Gripper) -> Ended:
-        felt, watch = Felt(), StopWatch()
+    async def _run(self, plan: Plan, gripper: Gripper, answered: Callable[[Answered], None] = lambda _: None) -> Ended:
+        answers, watch = Answers(plan, answered), StopWatch()
         log = Recorder(self._out / "episodes" / f"{plan.insertion_id}.jsonl", plan)
         arm, _, service = live_ports(self._settings, plan)
-        runner = Runner(plan, arm, gripper, service, log, (felt, watch), self._settings.simulated)
+        runner = Runner(plan, arm, gripper, service, log, (answers, watch), self._settings.simulated)
         state = await runner.run()
         if state.phase is not Phase.PROBED:
             show(f"  robot: {runner.farewell}")
         if log.lost:
             show(f"  log {log.path} BROKEN OFF: {log.lost}")
         runner.check_stopped()  # before anything else moves, the fingers included
-        self._rate_hz = min(felt.rates_hz, default=self._rate_hz)
-        done = probe_of(plan.insertion_id, plan.approach, felt.answer)
-        if watch.stop:
-            below_mm, touch_mm_s = watch.stop.touch_mm - plan.clearance_mm, watch.stop.speed_mm_s
-            done = done.model_copy(update={"below_mm": below_mm, "touch_mm_s": touch_mm_s})
-        if plan.until_slip:
-            done = done.model_copy(update={"slid_mm": felt.slid_mm})
-        return Ended(done, state.phase, state.reason, felt.gels, watch.stop)
+        self._rate_hz = min(answers.rates_hz, default=self._rate_hz)
+        if state.phase is Phase.PROBED and len(answers.probes) < state.attempt:
+            answers.take(None)
+        measured: dict[str, float | None] = {"slid_mm": answers.slid_mm} if plan.until_slip else {}
+        if watch.stop and not plan.starts:
+            measured |= {"below_mm": watch.stop.touch_mm - plan.clearance_mm, "touch_mm_s": watch.stop.speed_mm_s}
+        probes = tuple(probe.model_copy(update=measured) for probe in answers.probes)
+        return Ended(probes, state.phase, state.reason, answers.gels, watch.stop)
 
     async def begin(self) -> None:
         """Open the empty hand, which goes down to the fixture next; raises DriverError if it holds something."""
@@ -246,7 +241,16 @@ async def _commission(
     draw = errors(record.seed, *REACH, FITS)
     press, press_at, picture = probing.press, probing.press_at, probing.picture
     running = Commissioning(
-        path, record, probing.probe, probing.fetch, draw, show, press, press_at=press_at, picture=picture
+        path,
+        record,
+        probing.probe,
+        probing.several,
+        probing.fetch,
+        draw,
+        show,
+        press,
+        press_at=press_at,
+        picture=picture,
     )
     probing.late_s = lambda: running.record.late_s
     why = ""

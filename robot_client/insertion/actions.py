@@ -243,10 +243,13 @@ def stop(state: State, message: wire.Slip | wire.Enough, at_s: float) -> Result:
     return stopping, (*commands, *later(state, at_s - state.until_s)[1])
 
 
-def lift(state: State, at_s: float) -> Result:
-    """End a probe: straight up."""
+def lift(state: State, at_s: float, *, ends: bool = False) -> Result:
+    """Up from a probe's attempt, and over to its next start, in the air; without another one, or ``ends``: only up."""
     assert state.armed is not None
-    return go(state, Phase.RETRACTING, (state.armed,), "retract", at_s)
+    up = state.armed
+    starts = () if ends else state.plan.starts[state.attempt - 1 : state.attempt]
+    over = (start.at_height(up.z_mm).tilted(up.tilt_deg) for start in starts)
+    return go(state, Phase.RETRACTING, (up, *over), "retract", at_s)
 
 
 def probed(state: State) -> Result:

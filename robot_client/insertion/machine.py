@@ -162,13 +162,13 @@ def _on_standstill(state: State, event: Standstill) -> Result:
         state, commands = fail(state, "client", "attempts", f"the last attempt, {number}, was blocked")
         return state, (stopped, *commands)
     if plan.only_probes and outcome == "inserted":  # no contact, so there is nothing to report
-        return lift(state, event.at_s)
+        return lift(state, event.at_s, ends=True)
     phase, wait_s = (Phase.CLOSING, plan.timeouts.closing_s) if inserted else (Phase.DECIDING, plan.timeouts.deciding_s)
     return replace(state, phase=phase, deadline_s=event.at_s + wait_s), (stopped,)
 
 
 def _on_retracted(state: State, event: Arrived) -> Result:
-    if state.plan.only_probes:
+    if state.plan.only_probes and not state.path:
         return probed(state)
     assert state.armed is not None
     state = replace(state, armed=state.path[0].at_height(state.armed.z_mm))  # the vertical of the next attempt

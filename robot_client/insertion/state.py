@@ -72,9 +72,10 @@ class Plan(Contract):
     to tilt the tool. ``tops_level_mm``: how level the tops on both sides of the gap are, see `wire.Arm`.
     ``neighbours_stay``: no press pushes aside what stands beside the gap.
 
-    ``pause_s``: time within which a descent whose lease has ended may be resumed; 0 if the arm cannot stop and go on. A
-    probe ends above the gap again after its first decision, whatever that is: it follows no correction. ``until_slip``:
-    a probe that presses on until the gel slides, to identify the gel.
+    ``pause_s``: time within which a descent whose lease has ended may be resumed; 0 if the arm cannot stop and go on.
+
+    A probe follows no correction. Whatever was decided, it goes up again and over to the next of its ``starts``, and
+    ends after the last one. ``until_slip``: a probe that presses on until the gel slides, to identify the gel.
 
     ``no_decisions``: number of attempts in a row without a decision before the object was regrasped. ``met``: where the
     attempts before that met the tops.
@@ -102,6 +103,7 @@ class Plan(Contract):
     max_no_decisions: int = 2
     no_decisions: int = 0
     purpose: Literal["insert", "probe", "timing"] = "insert"
+    starts: tuple[WorkPose, ...] = Field(default=(), max_length=wire.MAX_ATTEMPTS - 2)
     until_slip: bool = False
     client: str = "tactile-insertion robot client"
     object: str = Field(default="", max_length=128)
@@ -128,7 +130,7 @@ class Plan(Contract):
         if not least_mm > self.clearance_mm:
             above = f"the object is still above the blocks there (approach_clearance_mm = {self.clearance_mm:g})"
             raise LimitError(f"expected_depth_mm less its tolerance is {least_mm:g}: {above}")
-        for target in (self.approach, self.deepest):
+        for target in (self.approach, *self.starts, self.deepest):
             check_pose(self.limits, target, "plan")
         check_ramps(self.limits, self.ramps)
         self.lease.check(self.ramps.descend.speed_mm_s)
@@ -138,7 +140,7 @@ class Plan(Contract):
 
     @property
     def only_probes(self) -> bool:
-        """Whether it ends with its first decision: for a probe, and for a press that times the cell."""
+        """Whether it follows no correction: for a probe, and for a press that times the cell."""
         return self.purpose != "insert"
 
     @property

@@ -34,6 +34,7 @@ class Telemetry:
             object=plan.object,
             start=pose(start),
             approach=pose(plan.approach),
+            starts=tuple(map(pose, plan.starts)),
             versions={"client": __version__, "protocol": str(wire.PROTOCOL), "python": platform.python_version()},
         )
         self.send(episode)

@@ -206,8 +206,9 @@ class Episode(InsertionMessage):
     """The task, for the recording: sent once after `hello`, never answered.
 
     ``start`` is the pose of the arm, ``approach`` the pose above the gap from which the first attempt descends. A probe
-    approaches with a known error and is not meant to insert: its ``approach`` is that error. A press that times the
-    cell (``timing``) begins like a probe, but with an object that earlier ones have pushed: nothing is learnt from it.
+    approaches with a known error and is not meant to insert: its ``approach`` is that error, and ``starts`` are those
+    of its attempts after the first, whatever was answered. A press that times the cell (``timing``) begins like a
+    probe, but with an object that earlier ones have pushed: nothing is learnt from it.
     In the hand of either an object may hang as it likes. ``simulated``: the cell is; None where a client does not say.
     """
 
@@ -217,6 +218,7 @@ class Episode(InsertionMessage):
     object: str = Field(default="", max_length=128)
     start: ToolPose
     approach: ToolPose
+    starts: tuple[ToolPose, ...] = Field(default=(), max_length=MAX_ATTEMPTS - 2)  # the last one would end it
     versions: dict[str, Annotated[str, Field(max_length=128)]] = Field(default_factory=dict, max_length=16)
 
 

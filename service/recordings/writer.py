@@ -66,7 +66,7 @@ UNREADABLE = "insertion.mcap.unreadable"
 IMAGE = {CompressedImage: "image", RawImage: "image_raw"}  # a topic has one schema, whatever the camera sends
 MEDIA = {"json": "application/json", "toml": "application/toml"}  # of attachments
 CONFIGURATION = "configuration.json"  # name of the attachment with the service's settings
-TASK = ("purpose", "simulated", "object", "start", "approach", "versions")  # of the client's `episode`, for the summary
+TASK = ("purpose", "simulated", "object", "start", "approach", "starts", "versions")  # of `episode`, for the summary
 OUTCOME = "outcome"  # name of the metadata in an ended recording
 RECOVERY = "recovery"  # name of the metadata in a recovered recording
 

@@ -123,11 +123,17 @@ class Decider:
 
 
 def decider_of(
-    arm: wire.Arm, models: ModelSet, name: wire.ControllerName, limits: wire.Limits, deadlines: Deadlines
+    arm: wire.Arm,
+    models: ModelSet,
+    name: wire.ControllerName,
+    limits: wire.Limits,
+    deadlines: Deadlines,
+    before: Decider | None = None,
 ) -> Decider:
-    """The decider of an insertion that begins with ``arm``."""
+    """The decider of an insertion that begins with ``arm``; after ``before`` with the same grasp, which it knows."""
     controller = make_controller(name, limits, arm.grasp_height_mm, models.card.expectations, arm.gripper_width_mm)
-    return Decider(arm.insertion_id, models, controller, deadlines)
+    decider = Decider(arm.insertion_id, models, controller, deadlines)
+    return replace(decider, grasp=before.grasp) if before else decider
 
 
 def _stood_s(attempt: Attempt, now_ns: int) -> float:

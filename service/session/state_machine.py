@@ -109,16 +109,15 @@ class InsertionSession:
             self.takes_afresh, self.inserts = message.takes_afresh, message.purpose == "insert"
             regrasped = self.decider and self.decider.controller.name
             self.controller_name = regrasped or message.controller or self.controller_name
-        return [
-            wire.ServiceHello(
-                insertion_id=self.insertion_id,
-                clock=clock(message, now_ns),
-                models=self.models.entries,
-                cameras=self.cameras(),
-                controller=self.controller_name,
-                limits=self.limits,
-            )
-        ]
+        answer = wire.ServiceHello(
+            insertion_id=self.insertion_id,
+            clock=clock(message, now_ns),
+            models=self.models.entries,
+            cameras=self.cameras(),
+            controller=self.controller_name,
+            limits=self.limits,
+        )
+        return [answer]
 
     def _arm(self, message: wire.Arm, now_ns: int) -> Replies:
         last = self.attempt.arm.attempt if self.attempt else 0
@@ -132,8 +131,9 @@ class InsertionSession:
         elif message.attempt != last + 1 or not decided:
             why = f"attempt {last} is {'decided' if decided else 'not decided yet'}" if last else "none has begun"
             return [self._fault("protocol", f"arm of attempt {message.attempt}, expected {last + decided}: {why}")]
-        if self.decider is None:
-            self.decider = decider_of(message, self.models, self.controller_name, self.limits, self.deadlines)
+        if self.decider is None or not self.inserts:  # a probe's next error does not follow from the one before
+            before = self.decider
+            self.decider = decider_of(message, self.models, self.controller_name, self.limits, self.deadlines, before)
         if (anew := self.open_gels.grasped_anew()) or message.attempt == 1:
             self.decider.grasps(message, self.open_gels.unknown, anew=anew, tried=self.continues)
         self._generation += 1

@@ -17,11 +17,12 @@ from simulation.closed_loop import campaign
 from simulation.data.sources import sources_sha256
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World, files_in, load_objects, load_scene, load_world
-from simulation.studies.commissioning import Cell, Plan, commission, mistaken
+from simulation.studies.commissioning import Cell, Plan, commission
 from simulation.studies.commissioning_page import commissioning_page
 from simulation.studies.identify import cells as pressing
 from simulation.studies.identify import posterior, study
 from simulation.studies.identify.page import identify_page
+from simulation.studies.wiring import mistaken
 
 PLAYED_BY, STORED_BY = "simulation.studies.identify.cells", "simulation.studies.episodes"
 FIRST_COARSE, FIRST_FINE, FIRST_LAYER, FIRST_FRESH = 1000, 5000, 7000, 910_000

@@ -87,6 +87,11 @@ def _as_set(plan: Plan, client: Settings) -> Plan:
     )
 
 
+def starts_of(plan: Plan, job: Job) -> tuple[WorkPose, ...]:
+    """Further starts of a probe, above the gap."""
+    return tuple(plan.approach.model_copy(update={"x_mm": x_mm, "yaw_deg": yaw_deg}) for x_mm, yaw_deg in job.starts)
+
+
 def walk_of(plan: Plan, here: WorkPose, move: Move) -> Walk:
     if move.legs:
         return plan.ramps.in_legs(here.z_mm, move.legs).position

@@ -1,7 +1,7 @@
 """A job of the closed loop and its outcome."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -50,7 +50,8 @@ class Job:
     ``client``: tables of the client's configuration as in `cell.toml`; with them the arm starts above the approach and
     follows the client's ramps, descent and settling time.
 
-    ``purpose`` "probe": it ends with its first decision, as the probes of a commissioning do.
+    ``purpose`` "probe": it follows no correction, as the probes of a commissioning, and goes on to each of ``starts``
+    (x mm, yaw deg) with the same grasp.
     """
 
     scene: str
@@ -70,6 +71,7 @@ class Job:
     late_s: float | None = None
     client: Mapping[str, Any] = field(default_factory=dict)
     purpose: Literal["insert", "probe"] = "insert"
+    starts: Sequence[tuple[float, float]] = ()
     object_sha256: str = ""
 
     def build_scene(self) -> Scene:

@@ -39,7 +39,7 @@ from service.contract.wire import Correction, LearnOpen, NoDecision
 from service.decision.attempt import WorkResult
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
-from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, plan_of, staged, trip_s, walk_of
+from simulation.closed_loop.client import ABOVE_MM, SETTLE_S, plan_of, staged, starts_of, trip_s, walk_of
 from simulation.closed_loop.job import Job, Outcome, Perception, Who
 from simulation.closed_loop.lockstep import GraspEndError, LockstepCell
 from simulation.closed_loop.oracle import by_the_truth, nothing_known
@@ -147,7 +147,7 @@ class Insertion:
 
     def _takes_afresh(self) -> bool:
         """Whether the object is regrasped from its fixture and tried again, as in the client's cycle."""
-        plan = self.state.afresh(f"simulated-{self.grasps + 1}")
+        plan = self.state.afresh(f"simulated-{self.grasps + 1}") if self.state.plan.fixture else None
         if plan is None:
             return False
         self._tried += self.state.tried_n
@@ -275,9 +275,9 @@ def stage(job: Job, models: ModelSet) -> Insertion:
         client=client,
     )
     plan = insertion.state.plan
-    known = {"purpose": job.purpose, "lease": plan.lease.late_by(job.late_s)}
-    signs_known = job.commissioned and job.purpose == "insert"
-    insertion.state = State(plan.model_copy(update={**known, "signs_known": signs_known}))
+    known = {"purpose": job.purpose, "lease": plan.lease.late_by(job.late_s), "signs_known": job.commissioned}
+    probes = {"fixture": False, "starts": starts_of(plan, job)} if job.purpose == "probe" else {}
+    insertion.state = State(plan.model_copy(update=known | probes))
     return insertion
 
 

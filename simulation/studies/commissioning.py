@@ -11,15 +11,15 @@ import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import cycle, islice
+from itertools import accumulate, cycle, islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from reporting.files import write_json
-from robot_client.session.commission.run import FITS, REACH, errors
+from robot_client.session.commission.run import FITS, PER_GRASP, REACH, errors
+from robot_client.session.commission.wiring import SIDES
 from service.contract import ContractError
 from simulation.closed_loop import benchmark
 from simulation.closed_loop.job import job_in
@@ -50,21 +50,6 @@ REFUSED, STAYS = 2, 3
 LEARNT_BY = "training.adapt.adapt", "export.onnx.to_onnx"
 ANSWERS: Mapping[str, set[int]] = {"simulation": {0, REFUSED}, "training": {0, REFUSED, STAYS}, "export": {0, REFUSED}}
 """Exit statuses that are an answer, of each package's command."""
-MISTAKES: Mapping[str, Mapping[str, Any]] = {
-    "fingers swapped": {"swapped_fingers": True},
-    "left mirrored": {"mirrored": (True, False)},
-    "right mirrored": {"mirrored": (False, True)},
-    "both mirrored": {"mirrored": (True, True)},
-    "x reversed": {"x_sign": -1},
-    "yaw reversed": {"yaw_sign": -1},
-}
-"""Mistakes of a first day: the change of each in a world's table `[world]`."""
-
-
-def mistaken(world: World) -> Iterator[World]:
-    """The world with each mistake of a first day."""
-    for name, changed in MISTAKES.items():
-        yield replace(world, name=f"{world.name}, {name}", unstated=world.unstated.model_copy(update=changed))
 
 
 @dataclass(frozen=True)
@@ -86,13 +71,20 @@ class Cell:
         return self._jobs(names, shares * ranges, purpose)
 
     def probes(self, count: int) -> list[Row]:
-        """``count`` known errors, object after object, drawn like the client's."""
-        names, starts = list(islice(cycle(self.objects), count)), []
-        for index, name in enumerate(names):
+        """Jobs of ``count`` known errors, drawn like the client's: several with one grasp, an object in each in turn.
+
+        With those of the signs, the first grasps hold FEW.
+        """
+        few = min(count, FEW - len(SIDES))
+        firsts = [*range(0, few, PER_GRASP), *range(few, count, PER_GRASP)]
+        names, starts = list(islice(cycle(self.objects), len(firsts))), []
+        for name, first, end in zip(names, firsts, [*firsts[1:], count], strict=True):
             scene = self.objects[name]
             within = min(REACH[0], scene.x_range_mm), min(REACH[1], scene.theta_range_deg)
-            starts.append(errors(self.seed, *within, FITS)(index))
-        return [{**job, "purpose": "probe"} for job in self._jobs(names, starts, PROBES)]
+            starts.append(list(map(errors(self.seed, *within, FITS), range(first, end))))
+        jobs = self._jobs(names, [several[0] for several in starts], PROBES)
+        more = [{"purpose": "probe", "starts": several[1:]} for several in starts]
+        return [{**job, **asked} for job, asked in zip(jobs, more, strict=True)]
 
     def signs(self) -> Iterator[list[Row]]:
         """The four probes of the wiring check with each object, the one that tells the yaw best first."""
@@ -136,7 +128,7 @@ def commission(cell: Cell, plan: Plan) -> Row:
     none in truth. ``late``: what presses at two speeds tell; everything after them reckons with it.
     """
     signs, folder = _asked_for_signs(cell, plan)
-    labelled = [folder / f"{index:05d}" for index in range(len(signs))]
+    labelled = {folder / f"{index:05d}": 1 for index in range(len(signs))}
     row: Row = {"world": cell.world.name, "wired_right": cell.world.unstated.wired_right}
     row |= {"mistakes_named": named_mistakes(signs), "signs_told": carried_out(signs)}
     if row["mistakes_named"] or not plan.probes:
@@ -146,7 +138,7 @@ def commission(cell: Cell, plan: Plan) -> Row:
     row["late"] = timed(cell.world, name, hash_seed(cell.seed, TIMING), plan.models, cell=cell.cell)
     cell = replace(cell, late_s=row["late"]["late_s"])
     probes = _played(cell, plan, "probes", cell.probes(max(0, plan.probes - len(signs))))
-    labelled += [cell.folder / "probes" / f"{index:05d}" for index in range(len(probes))]
+    labelled |= {cell.folder / "probes" / f"{index:05d}": 1 + len(row["starts"]) for index, row in enumerate(probes)}
     if plan.work:
         _played(cell, plan, "work", cell.jobs(plan.work, WORK))
     around, around_s = _pressed_around(cell, plan) if plan.around else (None, 0.0)
@@ -182,11 +174,15 @@ def _asked_for_signs(cell: Cell, plan: Plan) -> tuple[list[Row], Path]:
     return signs, folder
 
 
-def _lessons(cell: Cell, plan: Plan, labelled: Sequence[Path]) -> dict[str, Sequence[Path]]:
-    """The episodes that each version learns from; ``labelled``: those of known error, the wiring check's first."""
-    lessons = {"after_50": labelled[:FEW]}
-    if len(labelled) > FEW:
-        lessons["after_150"] = labelled
+def _lessons(cell: Cell, plan: Plan, labelled: Mapping[Path, int]) -> dict[str, Sequence[Path]]:
+    """The episodes that each version learns from.
+
+    ``labelled``: those of known error, the wiring check's first, with the number of their probes.
+    """
+    made = zip(labelled, accumulate(labelled.values()), strict=True)
+    lessons: dict[str, Sequence[Path]] = {"after_50": [episode for episode, made_n in made if made_n <= FEW]}
+    if sum(labelled.values()) > FEW:
+        lessons["after_150"] = list(labelled)
     if plan.work:
         lessons[AFTER_WORK] = [cell.folder / "work" / f"{index:05d}" for index in range(plan.work)]
     return lessons

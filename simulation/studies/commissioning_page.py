@@ -9,8 +9,9 @@ from reporting.page import missed_first, page
 from reporting.statistics import Estimate, clustered, number, wilson
 from reporting.table import Table, table
 from simulation.closed_loop.statistics import Row
-from simulation.studies.commissioning import MISTAKES, VERSIONS
+from simulation.studies.commissioning import VERSIONS
 from simulation.studies.lateness import errors_ms
+from simulation.studies.wiring import MISTAKES
 
 RIGHTLY: Mapping[str, str] = {
     "fingers swapped": "fingers are swapped",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from reporting.files import write_durably
-from robot_client.insertion.state import REFUSED, State
+from robot_client.insertion.state import REFUSED, Phase, Plan, State
 from robot_client.session.commission.run import GRASPS_N, STALE
 from service.decision.attempt import Attempt
 from service.decision.work import read_by_depth
@@ -23,7 +23,10 @@ from simulation.scene.state import PhysicsError
 
 @dataclass(frozen=True)
 class Episode:
-    """One insertion or probe to play and store in ``folder``; ``until_slip``: a probe presses until the gel slides."""
+    """One insertion, or probes of one grasp, to play and store in ``folder``.
+
+    ``until_slip``: a probe presses until the gel slides.
+    """
 
     folder: Path
     models: Path
@@ -42,27 +45,61 @@ def play(episode: Episode) -> Row:
         if all(row.get(name) == value for name, value in _plain(episode.job).items()):
             return row
         shutil.rmtree(episode.folder)  # of another object, cell or world of the same name
-    job, attempts, robot_s = Job(**episode.job), list[Attempt](), 0.0
+    job, answered, robot_s = Job(**episode.job), list[Answered](), 0.0
     try:
         insertion = stage(job, models_of(episode.models))
         plan = insertion.state.plan.model_copy(update={"until_slip": episode.until_slip})
         insertion.state = State(plan)
-        insertion.session.on_attempt = attempts.append
-        outcome = insertion.run()
-        while plan.only_probes and (hangs_askew(insertion) or is_stale(insertion)):
-            attempts.clear()
-            insertion.trials.clear()
-            insertion.take_afresh(plan)
-            insertion.begin_again(plan)
-            insertion.session.on_attempt = attempts.append
-            outcome = insertion.run()
+        several = plan.only_probes and plan.signs_known
+        places = [(job.x_mm, job.theta_deg), *job.starts]
+        outcome, answered = _at_each(places, insertion, plan) if several else _in_one_grasp(places[0], insertion, plan)
         robot_s = insertion.seconds.total_s + trip_s(plan)
-        attempts = [one for one in attempts if one.arm.insertion_id == insertion.state.plan.insertion_id]
     except PhysicsError as error:  # the object cannot even be held
         outcome = Outcome.never_began(job, f"physics: {error.reason}: {error}", void=True)
     row = {**episode.job, **asdict(outcome), "robot_s": robot_s}
-    _keep(episode, job, attempts, row)
+    _keep(episode, job, answered, row)
     return row
+
+
+Place = tuple[float, float]
+"""A known error: x mm, yaw deg."""
+Answered = tuple[Place, Attempt]
+"""Where an attempt began, and its end."""
+
+
+def _in_one_grasp(place: Place, insertion: Insertion, plan: Plan) -> tuple[Outcome, list[Answered]]:
+    """Play an insertion, or one probe, until it is answered in one grasp; the attempts are those of the last."""
+    attempts = list[Attempt]()
+    insertion.session.on_attempt = attempts.append
+    outcome = insertion.run()
+    while plan.only_probes and (hangs_askew(insertion) or is_stale(insertion)):
+        attempts.clear()
+        insertion.trials.clear()
+        insertion.take_afresh(plan)
+        insertion.begin_again(plan)
+        insertion.session.on_attempt = attempts.append
+        outcome = insertion.run()
+    last = insertion.state.plan.insertion_id
+    return outcome, [(place, one) for one in attempts if one.arm.insertion_id == last]
+
+
+def _at_each(left: Sequence[Place], insertion: Insertion, plan: Plan) -> tuple[Outcome, list[Answered]]:
+    """Probe at each of these errors, with one grasp at as many as the client can."""
+    answered, askew_n, poses = list[Answered](), 0, (plan.approach, *plan.starts)
+    while True:
+        attempts = list[Attempt]()
+        insertion.session.on_attempt = attempts.append
+        outcome, state = insertion.run(), insertion.state
+        answered += zip(left, attempts, strict=False)
+        went_in = state.phase is Phase.PROBED and len(attempts) < state.attempt
+        done_n = len(attempts) + went_in
+        left, poses, askew_n = left[done_n:], poses[done_n:], 0 if attempts else askew_n + 1
+        goes_on = state.phase is Phase.PROBED or (state.reason.startswith(REFUSED) and askew_n < GRASPS_N)
+        if not (left and goes_on):
+            return outcome, answered
+        plan = plan.model_copy(update={"approach": poses[0], "starts": poses[1:]})
+        insertion.take_afresh(plan)
+        insertion.begin_again(plan)
 
 
 def hangs_askew(insertion: Insertion) -> bool:
@@ -81,20 +118,23 @@ def _plain(job: Mapping[str, Any]) -> Row:
     return dict(json.loads(json.dumps(job)))
 
 
-def _keep(episode: Episode, job: Job, attempts: Sequence[Attempt], row: Row) -> None:
-    """Store the attempts of the last grasp; on a cell, those before it are a recording of their own that failed."""
+def _keep(episode: Episode, job: Job, answered: Sequence[Answered], row: Row) -> None:
+    """Store attempts; on a cell, every grasp is a recording of its own."""
     episode.folder.mkdir(parents=True, exist_ok=True)
-    for number, attempt in enumerate(attempts, 1):
+    for number, (_, attempt) in enumerate(answered, 1):
         kept = read_by_depth(attempt)
         if "steps" in kept:
             np.savez(episode.folder / f"attempt_{number:02d}.npz", **kept)  # type: ignore[arg-type]
-    summary = {
+    summary: dict[str, Any] = {
         "purpose": job.purpose,
         "simulated": True,
         "outcome": "inserted" if row["claimed"] else "failed",
         "approach": {"x_mm": job.x_mm, "yaw_deg": job.theta_deg},
         "row": row,
     }
+    if job.starts:
+        starts = [{"x_mm": x_mm, "yaw_deg": theta_deg} for (x_mm, theta_deg), _ in answered]
+        summary |= {"approach": starts[0], "starts": starts[1:]} if starts else {}
     if row["grasps"] > 1:
         summary["continues"] = "the grasp before"
     write_durably(episode.folder / "summary.json", (json.dumps(summary) + "\n").encode())

@@ -22,7 +22,7 @@ from simulation.scene.scene import Scene
 from simulation.scene.state import PhysicsError
 from simulation.scene.worlds import World
 from simulation.studies.episodes import hangs_askew
-from simulation.studies.wiring import by_corner
+from simulation.studies.wiring import BEFORE_SIGNS, by_corner
 
 
 def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
@@ -36,7 +36,7 @@ def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
     camera_s = 1e-3 * float(world.changes.get("camera.latency_ms", 0.0))
     row: Row = {"world": world.name, "late_s": None, "true_late_s": camera_s + arm.stop_lag_s, "robot_s": 0.0}
     try:
-        insertion = stage(Job(**job_in(world, name, 0, start, seed, purpose="probe", **job)), models_of(models))
+        insertion = stage(Job(**job_in(world, name, 0, start, seed, **BEFORE_SIGNS, **job)), models_of(models))
         plans = slow_and_fast(insertion.state.plan, insertion.cell.scene.fps)
     except (PhysicsError, LimitError):
         return row

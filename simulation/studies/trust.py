@@ -23,8 +23,8 @@ from simulation.closed_loop.statistics import Row, claimed_wrongly
 from simulation.closed_loop.true_fields import Fault, Kind
 from simulation.scene.scene import Scene
 from simulation.scene.worlds import World
-from simulation.studies.commissioning import MISTAKES
 from simulation.studies.lateness import errors_ms
+from simulation.studies.wiring import MISTAKES
 
 NAME = "trust"
 FAULT_FREE, MISTAKEN = 0.45, 0.1  # shares of all insertions; the rest have a fault

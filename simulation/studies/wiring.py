@@ -1,6 +1,7 @@
 """The wiring check in lock step: four probes at known errors, before a cell may insert anything."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from robot_client.session.commission.wiring import SIDES, WENT_IN, Probe, dangerous_mistakes, mistakes
@@ -13,6 +14,23 @@ from simulation.scene.worlds import World
 
 SIGNS = 4
 """Separates the seeds of these probes from those of everything else that is played in a cell."""
+MISTAKES: Mapping[str, Mapping[str, Any]] = {
+    "fingers swapped": {"swapped_fingers": True},
+    "left mirrored": {"mirrored": (True, False)},
+    "right mirrored": {"mirrored": (False, True)},
+    "both mirrored": {"mirrored": (True, True)},
+    "x reversed": {"x_sign": -1},
+    "yaw reversed": {"yaw_sign": -1},
+}
+"""Mistakes of a first day: the change of each in a world's table `[world]`."""
+BEFORE_SIGNS: Mapping[str, Any] = {"purpose": "probe", "commissioned": False}
+"""Fields of a `Job` that is played before the signs are known."""
+
+
+def mistaken(world: World) -> Iterator[World]:
+    """The world with each mistake of a first day."""
+    for name, changed in MISTAKES.items():
+        yield replace(world, name=f"{world.name}, {name}", unstated=world.unstated.model_copy(update=changed))
 
 
 def by_corner(objects: Mapping[str, Scene]) -> list[str]:
@@ -35,7 +53,7 @@ def probes(world: World, name: str, seed: int, **job: Any) -> list[Row]:
     arm = world.unstated
     starts = [(x_mm * arm.x_sign, theta_deg * arm.yaw_sign) for x_mm, theta_deg in SIDES]
     return [
-        job_in(world, name, index, start, hash_seed(seed, SIGNS, world.number, index), purpose="probe", **job)
+        job_in(world, name, index, start, hash_seed(seed, SIGNS, world.number, index), **{**job, **BEFORE_SIGNS})
         for index, start in enumerate(starts)
     ]
 

@@ -1,10 +1,10 @@
 """Recordings of a cell as training data: the networks' input in each attempt, and its error.
 
 The error is known in two ways. A probe (``purpose`` of the episode) begins at a known error, in the frame taught to the
-arm. In a successful insertion, every earlier attempt was off by the moves that followed it, to within what fits the
-gap: `training.adapt.hindsight` draws the rest. ``objects`` of the samples says which: PROBE or WORK, and LATER for the
-attempts of an insertion after the first one, also those after a regrasp. They are closer to the gap than a network's
-first question, so they are not used for evaluation.
+arm, and each of its further attempts at another one. In a successful insertion, every earlier attempt was off by the
+moves that followed it, to within what fits the gap: `training.adapt.hindsight` draws the rest. ``objects`` of the
+samples says which: PROBE or WORK, and LATER for the attempts of an insertion after the first one, also those after a
+regrasp. They are closer to the gap than a network's first question, so they are not used for evaluation.
 """
 
 import hashlib
@@ -122,18 +122,19 @@ def _attempts(folder: Path, listed: frozenset[str] | None) -> Iterator[Attempt]:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         shown = {int(path.stem[-2:]): _shown(path) for path in sorted(folder.glob("attempt_[0-9][0-9].npz"))}
         moves = _moves(summary, shown)
-        errors = _errors(summary, [*moves.values()])
+        errors = _errors(summary, moves)
         if not (np.abs([off for off in errors if off is not None]) < FARTHEST).all():
             raise ValueError(f"the error of an attempt is no number of mm and deg below {FARTHEST:g}")
     except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
         raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
-    if summary.get("purpose") == "probe" and listed is not None and summary.get("insertion_id") not in listed:
+    probe = summary.get("purpose") == "probe"
+    if probe and listed is not None and summary.get("insertion_id") not in listed:
         return
-    first = PROBE if summary.get("purpose") == "probe" else LATER if summary.get("continues") else WORK
+    first = PROBE if probe else LATER if summary.get("continues") else WORK
     for index, (number, off) in enumerate(zip(moves, errors, strict=False)):
         inputs, _ = shown.get(number, (None, None))
         if off is not None and inputs is not None:
-            yield Attempt(LATER if index else first, off, *inputs, folder.name)
+            yield Attempt(LATER if index and not probe else first, off, *inputs, folder.name)
 
 
 Inputs = tuple[NDArray[Any], NDArray[Any]]
@@ -169,11 +170,12 @@ def _shown(path: Path) -> tuple[Inputs | None, Move]:
     return (steps, conditions), moves
 
 
-def _errors(summary: dict[str, Any], moves: list[Move]) -> list[Move | None]:
+def _errors(summary: dict[str, Any], moves: dict[int, Move]) -> list[Move | None]:
     """The error of each attempt, None where it is unknown."""
     if summary.get("purpose") == "probe":
-        approach = summary["approach"]
-        return [(float(approach["x_mm"]), float(approach["yaw_deg"])), *[None] * (len(moves) - 1)]
+        starts = [summary["approach"], *summary.get("starts", ())]
+        known = {number: (float(at["x_mm"]), float(at["yaw_deg"])) for number, at in enumerate(starts, 1)}
+        return [known.get(number) for number in moves]
     if summary.get("outcome") != "inserted":
         return [None] * len(moves)
-    return [*errors_left(moves)]
+    return [*errors_left([*moves.values()])]

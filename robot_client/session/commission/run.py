@@ -2,7 +2,7 @@
 
 A probe is a guarded descent from a known error that ends with its first decision; nothing is inserted. All limits, the
 motion lease and every fault of an insertion apply to it. Results are stored after each probe, so that an interrupted
-commissioning resumes: at most the probe under way is lost.
+commissioning resumes: at most the probe under way is lost, or the series of presses that tells the timing.
 """
 
 import asyncio
@@ -17,11 +17,12 @@ from typing import NamedTuple
 from robot_client.insertion.limits import LimitError
 from robot_client.insertion.state import REFUSED, Phase
 from robot_client.ports import DriverError
+from robot_client.session.commission.answers import Answered, in_words
 from robot_client.session.commission.lateness import PLACE, Press, late_s, next_is_fast
 from robot_client.session.commission.record import Record, keep_record, keep_text
 from robot_client.session.commission.wiring import SIDES, Probe, mistakes
 from robot_client.session.stops import Stop
-from service.contract.frames import Finger
+from service.contract.frames import ContractError, Finger
 
 PRESSES = ((0.0, 15.0), (0.0, -15.0))
 """Errors of the presses that identify the gel: a turned object lies on both blocks and is pushed straight up."""
@@ -33,14 +34,19 @@ FITS = (2.5, 3.0)
 """Approximate errors that insert: no probe begins there."""
 GRASPS_N = 3
 """Most grasps for a probe: in some the object hangs too far askew to be pressed. As many may be stale."""
+PER_GRASP = 5
+"""Probes to learn from with one grasp, as in the paper; fewer where the hand cannot hold the object upright."""
 STALE = "stale"
 """Reason for which a probe whose pictures came too late got no answer: it tells nothing of the wiring or the gels."""
 
 
 class Ended(NamedTuple):
-    """How a probe ended: its stored form, the phase, the reason if it failed, the service's gels, and its stop."""
+    """How probes with one grasp ended: their stored form, the phase, the reason of a failure, the gels, the last stop.
 
-    probe: Probe
+    ``probes``: those that were answered, or went in.
+    """
+
+    probes: tuple[Probe, ...]
     phase: Phase
     reason: str
     gels: dict[Finger, str]
@@ -68,8 +74,10 @@ def second_grip_n(grip_n: float) -> float:
 
 @dataclass(slots=True)
 class Commissioning:
-    """Carries out the commissioning. ``probe`` is one probe from the arm's present pose, ``fetch`` regrasps the object.
+    """Carries out the commissioning. ``fetch`` regrasps the object.
 
+    ``probe`` is one probe from the arm's present pose with unknown signs. ``several`` are probes at these errors with
+    one grasp; each is passed on as soon as it has been answered.
     ``press`` is a probe that goes on until the gel slides, with one of ``grips_n`` (N, None: as set; none: no presses).
     ``press_at`` is a slow or fast probe (True), the object held from before; None: the lateness is not measured.
     ``picture`` is the picture of a probe with this name and caption, of those before the probes to learn from; None:
@@ -79,6 +87,7 @@ class Commissioning:
     path: Path
     record: Record
     probe: Callable[[float, float], Awaitable[Ended]]
+    several: Callable[[Sequence[tuple[float, float]], Callable[[Answered], None]], Awaitable[Ended]]
     fetch: Callable[[], Awaitable[None]]
     draw: Callable[[int], tuple[float, float]]
     show: Callable[[str], None]
@@ -117,9 +126,8 @@ class Commissioning:
                 pictures = await self._pictured(f"press_{number + 1}", done)
                 self._keep(presses=(*self.record.presses, done), pictures=pictures)
             while not self.record.named and self.record.done_n < probes_n:
-                title = f"probe {self.record.done_n + 1} of {probes_n}{self._left(probes_n)}"
-                done = await self._probe(title, *self.draw(len(self.record.probes)))
-                self._keep(probes=(*self.record.probes, done))
+                first, most_n = len(self.record.probes), min(PER_GRASP, probes_n - self.record.done_n)
+                await self._probe_several([self.draw(first + n) for n in range(most_n)], probes_n)
         except asyncio.CancelledError:
             raise DriverError(
                 "operator: interrupted between two probes, nothing moves; run it again to go on"
@@ -156,16 +164,42 @@ class Commissioning:
         self, title: str, x_mm: float, theta_deg: float, how: Callable[[float, float], Awaitable[Ended]] | None = None
     ) -> Probe:
         for _ in range(GRASPS_N):
-            done = self._checked(title, await self._in_new_grasp(partial(how or self.probe, x_mm, theta_deg))).probe
-            if not (felt := done.said).startswith(STALE):
+            ended = self._checked(title, await self._in_new_grasp(partial(how or self.probe, x_mm, theta_deg)))
+            (done,) = ended.probes
+            if not done.said.startswith(STALE):
                 break
-            self.show(f"{title}: nothing is learnt in this grasp: {felt}")
-        if done.estimate_x_mm is not None and done.estimate_theta_deg is not None:
-            felt = f"felt {done.estimate_x_mm:+.1f} mm, {done.estimate_theta_deg:+.1f} deg"
-        if done.slid_mm is not None:
-            felt += f"; slid once pressed by {done.slid_mm:.1f} mm"
-        self.show(f"{title}: {x_mm:+.1f} mm, {theta_deg:+.1f} deg; {felt}")
+            self.show(f"{title}: nothing is learnt in this grasp: {done.said}")
+        self.show(f"{title}: {in_words(done)}")
         return done
+
+    async def _probe_several(self, places: Sequence[tuple[float, float]], probes_n: int) -> None:
+        """Probe at these errors with one grasp, at as many as it allows; each is kept while the next is under way."""
+        answered: asyncio.Queue[Answered | None] = asyncio.Queue()
+        keeping = asyncio.create_task(self._keep_each(answered, probes_n))
+        try:
+            ended = await self._in_new_grasp(partial(self.several, places, answered.put_nowait))
+        finally:
+            answered.put_nowait(None)
+            await asyncio.wait({keeping})
+        if problem := keeping.result():
+            raise problem
+        if not (ended.probes and ended.reason.startswith(REFUSED)):
+            self._checked(f"probe {self.record.done_n + (not ended.probes)} of {probes_n}", ended)
+
+    async def _keep_each(self, answered: asyncio.Queue[Answered | None], probes_n: int) -> Exception | None:
+        """Keep probes until None comes; what is wrong with one, after which none is kept."""
+        problem: Exception | None = None
+        while (one := await answered.get()) is not None:
+            title = f"probe {self.record.done_n + 1} of {probes_n}{self._left(probes_n)}"
+            try:
+                if not problem:
+                    self.check_gels(one.gels, title)
+                    kept = partial(self._keep, probes=(*self.record.probes, one.probe))
+                    await asyncio.to_thread(kept)  # the arm is guided meanwhile
+                    self.show(f"{title}: {in_words(one.probe)}")
+            except (ContractError, DriverError) as error:
+                problem = error
+        return problem
 
     async def _pictured(self, name: str, probe: Probe) -> dict[str, str]:
         """The record's pictures with the one of this probe, which is written before the record names it."""
@@ -179,12 +213,12 @@ class Commissioning:
     async def _in_new_grasp(self, probe: Callable[[], Awaitable[Ended]]) -> Ended:
         """Regrasp and probe; once more where the object then hangs too far askew in the hand.
 
-        Each probe has its own grasp: the object drifts in the hand, and open gels are learnt before a grasp.
+        Probes with unknown signs have a grasp each: a press turns the object, and nothing could straighten it.
         """
         for _ in range(GRASPS_N):
             await self.fetch()
             ended = await probe()
-            if not ended.reason.startswith(REFUSED):
+            if ended.probes or not ended.reason.startswith(REFUSED):
                 break
             self.show(f"not pressed in this grasp: {ended.reason}")
         return ended

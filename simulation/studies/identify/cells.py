@@ -20,6 +20,7 @@ from simulation.studies.episodes import Episode, play
 from simulation.studies.identify import recorded
 from simulation.studies.identify.evidence import Floats
 from simulation.studies.pace.points import client, with_care
+from simulation.studies.wiring import BEFORE_SIGNS
 
 Play = Literal["coarse", "closer", "whole"]
 SAVES: Mapping[Play, Mapping[str, Any]] = {
@@ -86,5 +87,5 @@ def _job(
     tables = dict(with_care(client(), world, str(body), None))
     if cell.play != "whole":
         tables["task"] = {"approach_clearance_mm": CLOSER_MM}
-    job = job_in(world, str(body), index, start, cell.number * 16 + group * 4 + index, client=tables, purpose="probe")
+    job = job_in(world, str(body), index, start, cell.number * 16 + group * 4 + index, client=tables, **BEFORE_SIGNS)
     return {**job, "changes": {**job["changes"], "grasp.force_n": grip_n, **SAVES[cell.play]}}

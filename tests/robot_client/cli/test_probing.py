@@ -25,7 +25,7 @@ from robot_client.settings import Settings, Task
 from service.contract import wire
 from service.contract.shipped import released_models
 from service.decision.models import load_models
-from tests.robot_client.insertion.stories import APPROACH, ID, PLAN, TO_DESCENT, at, run, service
+from tests.robot_client.insertion.stories import APPROACH, ID, PLAN, TO_DESCENT, at, no_decision, run, service
 from tests.robot_client.live_cell import Part, bench, undisturbed
 from tests.robot_client.session.test_lateness import SLIPPED
 
@@ -144,17 +144,20 @@ async def test_an_interrupt_while_the_gripper_is_left_does_not_hide_why_the_cell
 def test_a_probe_reckons_with_the_lateness_as_soon_as_it_is_known(tmp_path, monkeypatch, late_s, counts_s):
     plans = []
 
-    async def run(_self, plan, _gripper):
+    async def run(_self, plan, *_):
         plans.append(plan)
-        return Ended(probe_of("p", plan.approach, None), Phase.PROBED, "", {})
+        return Ended((probe_of("p", plan.approach, None),), Phase.PROBED, "", {})
 
     monkeypatch.setattr(Probing, "_run", run)
     probing = Probing(REAL, REAL.cycle, tmp_path)
     probing.late_s = lambda: late_s
-    for ends in (probing.probe(8.0, 8.0), probing.press(20.0, 0.0, 15.0), probing.press_at(8.0, 8.0, fast=True)):
+    one, several = probing.probe(8.0, 8.0), probing.several([(8.0, 3.0), (-5.0, 1.0)], lambda _: None)
+    for ends in (one, several, probing.press(20.0, 0.0, 15.0), probing.press_at(8.0, 8.0, fast=True)):
         asyncio.run(ends)
-    assert [plan.lease.stop_lag_s for plan in plans] == [counts_s, counts_s, 0.04], "the press that measures it"
-    assert [plan.until_slip for plan in plans] == [False, True, False]
+    assert [plan.lease.stop_lag_s for plan in plans] == [*[counts_s] * 3, 0.04], "the press that measures it"
+    assert [plan.until_slip for plan in plans] == [False, False, True, False]
+    assert [plan.signs_known for plan in plans] == [False, True, False, False]
+    assert [(start.x_mm, start.yaw_deg) for start in plans[1].starts] == [(-5.0, 1.0)]
 
 
 def measured_at(force_n):
@@ -204,11 +207,33 @@ def test_a_press_grips_and_tells_the_service_what_was_asked_over_real_sockets(tm
     part, allowed, presses, arms = undisturbed(lambda: pressed_live(tmp_path))
     assert [round(force_n) for force_n in part.forces_n] == [40, 20]
     assert [(message.until_slip, message.grip_n) for message in arms] == [(True, 30.0), (True, 15.0)]
-    assert [(ended.phase, ended.probe.grip_n) for ended in presses] == [(Phase.PROBED, 40.0), (Phase.PROBED, 20.0)]
+    assert [(ended.phase, ended.probes[0].grip_n) for ended in presses] == [(Phase.PROBED, 40.0), (Phase.PROBED, 20.0)]
     assert allowed == [[40.0, 20.0], [40.0], [40.0]]
     assert [line for line in lines if "AT ONE GRIP ONLY" in line] == [
         "PRESSES AT ONE GRIP ONLY: force_limit_n = 100, this gripper allows 5 .. 80"
     ]
+
+
+async def several_live(tmp_path, places):
+    async with bench(holding=False, overrides={"cycle": REAL.cycle.model_dump(), "task": {"grip_n": 30.0}}) as cell:
+        probing, passed_on, received = Probing(cell.settings, cell.settings.cycle, tmp_path), [], []
+        cell.service.on_message = received.append
+        ended = await probing.several(places, passed_on.append)
+        await probing.fetch()
+        return ended, passed_on, received
+
+
+def test_probes_from_several_starts_are_made_with_one_grasp_over_real_sockets(tmp_path):
+    """The service's recording gets the start of each attempt, which is its label."""
+    places = [(8.0, 4.0), (-9.0, 6.0), (5.0, -12.0)]
+    ended, passed_on, received = undisturbed(lambda: several_live(tmp_path, places))
+    assert ended.phase is Phase.PROBED, ended.reason
+    assert [(probe.x_mm, probe.theta_deg) for probe in ended.probes] == places
+    assert [answered.probe for answered in passed_on] == list(ended.probes)
+    (episode,) = (message for message in received if isinstance(message, wire.Episode))
+    assert [(pose.x_mm, pose.yaw_deg) for pose in (episode.approach, *episode.starts)] == places
+    assert [message.attempt for message in received if isinstance(message, wire.Arm)] == [1, 2, 3]
+    assert len([message for message in received if isinstance(message, wire.LearnOpen)]) == 1
 
 
 async def allowed_live(tmp_path, grip_n):
@@ -244,7 +269,7 @@ def test_a_probe_tells_how_far_below_the_taught_tops_it_touched(tmp_path, monkey
         async def run(self):
             state = State(self.plan)
             still = at(APPROACH.at_height(APPROACH.z_mm - 7.5), Standstill)
-            for event in (*TO_DESCENT, service(order, 0.05), still):
+            for event in (*TO_DESCENT, service(order, 0.05), still, service(no_decision(1)), at(APPROACH)):
                 state, _ = run([event], state)
                 for observer in self.observers:
                     observer.on_event(state, event)
@@ -258,10 +283,12 @@ def test_a_probe_tells_how_far_below_the_taught_tops_it_touched(tmp_path, monkey
     monkeypatch.setattr("robot_client.cli.commission.live_ports", lambda *_: (None,) * 3)
     plan = PLAN.model_copy(update={"purpose": "probe"})
     ended = asyncio.run(Probing(REAL, REAL.cycle, tmp_path)._run(plan, DryGripper()))
-    assert ended.probe.below_mm == pytest.approx(7.5 - 0.8 - 10.0 * 0.02 - plan.clearance_mm, abs=0.01)
-    assert ended.probe.touch_mm_s == 10.0
-    assert ended.probe.slid_mm is None
+    (probe,) = ended.probes
+    assert probe.below_mm == pytest.approx(7.5 - 0.8 - 10.0 * 0.02 - plan.clearance_mm, abs=0.01)
+    assert probe.touch_mm_s == 10.0
+    assert probe.slid_mm is None
     order = SLIPPED
     for until_slip, slid_mm in ((True, 0.8), (False, None)):
         asked = plan.model_copy(update={"insertion_id": str(until_slip), "until_slip": until_slip})
-        assert asyncio.run(Probing(REAL, REAL.cycle, tmp_path)._run(asked, DryGripper())).probe.slid_mm == slid_mm
+        (probe,) = asyncio.run(Probing(REAL, REAL.cycle, tmp_path)._run(asked, DryGripper())).probes
+        assert probe.slid_mm == slid_mm

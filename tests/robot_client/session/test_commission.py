@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_client.insertion.events import Move, Send
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.state import REFUSED, Phase, State
 from robot_client.ports import DriverError
 from robot_client.session.commission import run as commission_run
+from robot_client.session.commission.answers import Answered
 from robot_client.session.commission.record import Record, keep_record, read_record
 from robot_client.session.commission.run import PRESSES, Commissioning, Ended, errors
 from robot_client.session.commission.wiring import SIDES, probe_of
@@ -22,38 +22,14 @@ from service.contract import wire
 from service.contract.frames import ContractError
 from service.contract.words.wiring import WIRINGS
 from tests.robot_client.insertion.stories import (
-    APPROACH,
     PLAN,
     TO_ARMING,
-    TO_DECISION,
-    at,
-    correction,
     hello,
     no_decision,
     run,
     service,
 )
 from tests.robot_client.session.test_wiring import felt
-
-PROBE = State(PLAN.model_copy(update={"purpose": "probe"}))
-
-
-@pytest.mark.parametrize("purpose", ["probe", "timing"])
-@pytest.mark.parametrize("answer", [correction(1), no_decision(1), no_decision(1, "contradictory")])
-def test_a_probe_goes_straight_up_after_whatever_was_decided_and_ends_there(answer, purpose):
-    begun = State(PLAN.model_copy(update={"purpose": purpose}))
-    _, before = run(TO_DECISION, begun)
-    state, commands = run([*TO_DECISION, service(answer), at(APPROACH)], begun)
-    moves = [c.target for c in commands[len(before) :] if isinstance(c, Move)]
-    assert (state.phase, moves) == (Phase.PROBED, [APPROACH])
-    assert isinstance(commands[-1], Send)
-    assert commands[-1].message.cause == "probed"
-
-
-def test_a_probe_is_decided_where_a_single_attempt_is_allowed():
-    plan = PROBE.plan.model_copy(update={"limits": PLAN.limits.model_copy(update={"max_attempts": 1})})
-    state, _ = run([*TO_DECISION, service(correction(1)), at(APPROACH)], State(plan))
-    assert state.phase is Phase.PROBED
 
 
 @given(st.integers(0, 2**31), st.integers(0, 500))
@@ -65,38 +41,46 @@ def test_no_probe_begins_where_the_object_fits_or_beyond_what_is_asked_for(seed,
 
 
 class Cell:
-    """Probes that answer with a share of the truth; ``fails_at`` is the one that the arm fails in."""
+    """Probes that answer with a share of the truth; ``fails_at`` is the one that the arm fails in, and how."""
 
-    def __init__(self, fails_at=None, sign=1):
-        self.probed, self.fetched_n, self.fails_at, self.sign = [], 0, fails_at, sign
+    def __init__(self, fails_at=None, sign=1, reason="arm: tilt"):
+        self.probed, self.fetched_n, self.fails_at, self.sign, self.reason = [], 0, fails_at, sign, reason
         self.gels = {"left": "a", "right": "b"}
 
     async def probe(self, x_mm, theta_deg):
-        self.probed.append((x_mm, theta_deg))
-        pose = WorkPose(x_mm=x_mm, y_mm=0.0, z_mm=35.0, yaw_deg=theta_deg)
-        answer = felt(self.sign * 0.7 * x_mm, 0.7 * theta_deg)
-        failed = len(self.probed) == self.fails_at
-        phase = Phase.FAILED if failed else Phase.PROBED
-        return Ended(probe_of("p", pose, answer), phase, "arm: tilt" if failed else "", self.gels)
+        return await Cell.several(self, [(x_mm, theta_deg)], lambda _: None)
+
+    async def several(self, places, answered):
+        probes = []
+        for x_mm, theta_deg in places:
+            self.probed.append((x_mm, theta_deg))
+            if len(self.probed) == self.fails_at:
+                return Ended(tuple(probes), Phase.FAILED, self.reason, self.gels)
+            pose = WorkPose(x_mm=x_mm, y_mm=0.0, z_mm=35.0, yaw_deg=theta_deg)
+            probes.append(probe_of("p", pose, felt(self.sign * 0.7 * x_mm, 0.7 * theta_deg)))
+            answered(Answered(probes[-1], self.gels))
+            await asyncio.sleep(0)
+        return Ended(tuple(probes), Phase.PROBED, "", self.gels)
 
     async def fetch(self):
         self.fetched_n += 1
 
 
 def commissioning(cell, path, record=None):
-    record = record or Record(begun="today", seed=7)
-    return Commissioning(path, record, cell.probe, cell.fetch, errors(7, 15.0, 15.0, (2.5, 3.0)), lambda _line: None)
+    record, draw = record or Record(begun="today", seed=7), errors(7, 15.0, 15.0, (2.5, 3.0))
+    return Commissioning(path, record, cell.probe, cell.several, cell.fetch, draw, lambda _line: None)
 
 
 def test_it_goes_on_where_it_was_broken_off_and_loses_the_probe_under_way(tmp_path):
     path, whole, broken = tmp_path / "record.toml", Cell(), Cell(fails_at=8)
     asyncio.run(commissioning(whole, tmp_path / "whole.toml").run(10))
-    with pytest.raises(DriverError, match=r"probe 8 of 10.*tilt"):
+    with pytest.raises(DriverError, match=r"probe 7 of 10.*tilt"):
         asyncio.run(commissioning(broken, path).run(10))
+    assert read_record(path).labelled_n == 7
     record = asyncio.run(commissioning(broken, path, read_record(path)).run(10))
     assert (len(record.signs), len(record.probes), record.labelled_n) == (4, 6, 10)
     assert broken.probed[:7] + broken.probed[8:] == whole.probed
-    assert whole.fetched_n == len(whole.probed)
+    assert whole.fetched_n == 4 + 2, "of the probes to learn from, five are made with one grasp"
 
 
 def test_a_probe_whose_object_hangs_askew_is_repeated_in_a_new_grasp(tmp_path):
@@ -107,13 +91,13 @@ def test_a_probe_whose_object_hangs_askew_is_repeated_in_a_new_grasp(tmp_path):
             ended = await super().probe(x_mm, theta_deg)
             if len(self.probed) not in askew:
                 return ended
-            return ended._replace(phase=Phase.FAILED, reason=f"{REFUSED} it hangs turned by 0.6 deg")
+            return Ended((), Phase.FAILED, f"{REFUSED} it hangs turned by 0.6 deg", self.gels)
 
-    askew, cell, shown = {2, 6, 7}, Askew(), []
+    askew, cell, shown = {2, 4, 5}, Askew(), []
     running = commissioning(cell, tmp_path / "record.toml")
     running.show = shown.append
-    record = asyncio.run(running.run(6))
-    assert (record.labelled_n, len(cell.probed), cell.fetched_n) == (6, 9, 9)
+    record = asyncio.run(running.run(4))
+    assert (record.labelled_n, len(cell.probed), cell.fetched_n) == (4, 7, 7)
     assert cell.probed[1] == cell.probed[2], "the same error again"
     assert sum("not pressed in this grasp" in line and "0.6 deg" in line for line in shown) == 3
     askew = {1, 2, 3}
@@ -130,7 +114,7 @@ def test_a_probe_whose_pictures_came_too_late_is_repeated_in_a_new_grasp(tmp_pat
             if len(self.probed) not in late:
                 return ended
             pose = WorkPose(x_mm=x_mm, y_mm=0.0, z_mm=35.0, yaw_deg=theta_deg)
-            return ended._replace(probe=probe_of("late", pose, no_decision(1, "stale")))
+            return ended._replace(probes=(probe_of("late", pose, no_decision(1, "stale")),))
 
     late, cell, shown = {2, 5, 6}, Late(), []
     running = commissioning(cell, tmp_path / "record.toml")
@@ -183,26 +167,6 @@ def test_presses_count_among_the_probes_asked_for(tmp_path):
     ]
 
 
-def test_the_time_left_is_told_by_the_probes_of_this_run(tmp_path, monkeypatch):
-    """Those of the day before took none of it."""
-    path, cell, shown, now_s = tmp_path / "record.toml", Cell(), [], 0.0
-
-    async def probe(x_mm, theta_deg):
-        nonlocal now_s
-        now_s += 15.0
-        return await cell.probe(x_mm, theta_deg)
-
-    monkeypatch.setattr(commission_run.time, "monotonic", lambda: now_s)
-    for total in (10, 30):
-        running = commissioning(cell, path, read_record(path))
-        running.probe, running.show = probe, shown.append
-        running._began_s = now_s
-        asyncio.run(running.run(total))
-    left = {line.partition(":")[0] for line in shown}
-    assert "probe 15 of 30" in left
-    assert "probe 16 of 30, 4 min left" in left, "15 of 15 s each"
-
-
 def test_what_a_full_disk_has_not_taken_is_not_counted(tmp_path):
     path, cell = tmp_path / "record.toml", Cell()
     record = asyncio.run(commissioning(cell, path).run(5))
@@ -210,6 +174,17 @@ def test_what_a_full_disk_has_not_taken_is_not_counted(tmp_path):
     running = commissioning(cell, path, record)
     with pytest.raises(ContractError, match="the last probe is not in it"):
         asyncio.run(running.run(6))
+    assert running.record.done_n == read_record(path).done_n == 5
+    path.with_suffix(".tmp").unlink()
+
+    class Filling(Cell):
+        async def several(self, places, answered):
+            path.with_suffix(".tmp").symlink_to("/dev/full")
+            return await super().several(places, answered)
+
+    running = commissioning(Filling(), path, record)
+    with pytest.raises(ContractError, match="the last probe is not in it"):
+        asyncio.run(running.run(9))
     assert running.record.done_n == read_record(path).done_n == 5
 
 
@@ -270,7 +245,8 @@ def test_a_gel_that_is_changed_on_the_way_ends_it(tmp_path):
     record = asyncio.run(commissioning(cell, tmp_path / "record.toml").run(5))
     cell.gels = {"left": "a", "right": "c"}
     with pytest.raises(DriverError, match="gel was changed"):
-        asyncio.run(commissioning(cell, tmp_path / "record.toml", record).run(6))
+        asyncio.run(commissioning(cell, tmp_path / "record.toml", record).run(9))
+    assert read_record(tmp_path / "record.toml").probes == record.probes, "none of another gel is in it"
 
 
 def camera(gel):

@@ -12,7 +12,7 @@ from robot_client.insertion.state import REFUSED, Phase, State
 from robot_client.ports import DriverError
 from robot_client.session.commission.lateness import MOST_N, PLACE, Press, late_s, next_is_fast, slow_and_fast
 from robot_client.session.commission.record import read_record
-from robot_client.session.commission.run import GRASPS_N
+from robot_client.session.commission.run import GRASPS_N, Ended
 from robot_client.session.commission.wiring import SIDES
 from robot_client.session.stops import Stop, StopWatch
 from service.contract import wire
@@ -181,7 +181,7 @@ def test_an_object_that_turns_in_the_hand_meanwhile_is_regrasped_and_the_series_
             ended = await super().press_at(*how)
             if len(self.presses) not in (6, 9):
                 return ended
-            return ended._replace(phase=Phase.FAILED, reason=f"{REFUSED} it hangs turned by 0.6 deg", stop=None)
+            return Ended((), Phase.FAILED, f"{REFUSED} it hangs turned by 0.6 deg", ended.gels)
 
     cell = Turning()
     record = timed(cell, tmp_path / "record.toml")
@@ -207,7 +207,7 @@ def test_an_object_that_hangs_turned_in_each_grasp_ends_the_commissioning(tmp_pa
             ended = await super().press_at(*how)
             if len(self.presses) < 3:
                 return ended
-            return ended._replace(phase=Phase.FAILED, reason=f"{REFUSED} it hangs turned by 0.6 deg", stop=None)
+            return Ended((), Phase.FAILED, f"{REFUSED} it hangs turned by 0.6 deg", ended.gels)
 
     cell = Hanging()
     with pytest.raises(DriverError, match=r"slow press 3: service: refused: turned_in_hand: it hangs turned"):

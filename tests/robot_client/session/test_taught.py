@@ -101,7 +101,8 @@ class Taught(Cell):
 
     async def probe(self, x_mm, theta_deg):
         ended = await super().probe(x_mm, theta_deg)
-        return ended._replace(probe=ended.probe.model_copy(update={"below_mm": 2.0, "touch_mm_s": PROBING_MM_S}))
+        below = {"below_mm": 2.0, "touch_mm_s": PROBING_MM_S}
+        return ended._replace(probes=tuple(probe.model_copy(update=below) for probe in ended.probes))
 
     async def press_at(self, x_mm, theta_deg, fast):
         ended: Ended = await self.probe(x_mm, theta_deg)
@@ -114,7 +115,8 @@ def commissioned_by(cell, given, path, monkeypatch, probes_n=6):
 
     probing = Probing(given, given.cycle, path.parent)
     fakes = {"begin": gives, "leave": gives, "allowed": partial(gives, answer=[None]), "fetch": cell.fetch}
-    fakes |= {"probe": cell.probe, "press_at": cell.press_at, "press": lambda _grip_n, *place: cell.probe(*place)}
+    fakes |= {"probe": cell.probe, "several": cell.several, "press_at": cell.press_at}
+    fakes |= {"press": lambda _grip_n, *place: cell.probe(*place)}
     for name, fake in {**fakes, "picture": partial(gives, answer="<svg/>")}.items():
         monkeypatch.setattr(probing, name, fake)
     record = Record(begun="today", seed=1, object="soap", approach_z_mm=35.0)

@@ -83,6 +83,22 @@ def test_an_insertion_of_several_attempts_ends_with_inserted_where_the_neighbour
     assert (finished.outcome, finished.attempts) == ("inserted", 4)
 
 
+def test_attempts_of_a_probe_are_decided_apart_with_one_knowledge_of_the_grasp(models: ModelSet) -> None:
+    """Its next error does not follow from the last correction; how the object hangs follows from all presses."""
+    moves, grasps = dict[str, list[tuple[float, float]]](), []
+    for purpose in ("probe", "insert"):
+        session = make_session(models, drawn.calibration())
+        hello(session, purpose=purpose)
+        decided = [probe(session, attempt, attempt * 10**10)[-1] for attempt in (1, 2, 3)]
+        moves[purpose] = [(one.dx_mm, one.dtheta_deg) for one in decided]
+        assert session.decider is not None
+        grasps.append(session.decider.grasp.blocked_pitch)
+    assert len(set(moves["probe"])) == 1
+    assert moves["insert"][0] == moves["probe"][0]
+    assert len(set(moves["insert"])) == 3
+    assert grasps[0] == grasps[1] > 0.0
+
+
 def test_where_neighbours_may_be_pushed_aside_nothing_is_inserted_after_a_press(models: ModelSet) -> None:
     for before, continues, reasons in ((0, None, []), (1, None, ["neighbours"]), (0, "earlier", ["neighbours"])):
         session = make_session(models, drawn.calibration())

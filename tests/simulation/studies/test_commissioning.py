@@ -13,8 +13,9 @@ from simulation.cli.commission import Options, _cell
 from simulation.closed_loop.statistics import Row
 from simulation.scene.worlds import World, load_objects
 from simulation.studies import commissioning
-from simulation.studies.commissioning import COUNTED, MISTAKES, VERSIONS, Cell, Plan, commission, mistaken
+from simulation.studies.commissioning import COUNTED, VERSIONS, Cell, Plan, commission
 from simulation.studies.commissioning_page import commissioning_page
+from simulation.studies.wiring import MISTAKES, mistaken
 from tests.simulation.data.test_sources import as_if_changed
 
 OBJECTS = ("rectangle", "circle")
@@ -43,14 +44,28 @@ def test_a_mistake_of_a_first_day_is_named_and_a_good_cell_is_not(world, tmp_pat
 
 
 def test_probes_are_drawn_within_what_the_object_may_be_off_and_none_where_it_fits(tmp_path):
-    cell = Cell(World(), load_objects(OBJECTS), tmp_path, 1)
+    cell, places = Cell(World(), load_objects(OBJECTS), tmp_path, 1), set()
     for job in cell.probes(60):
         scene = cell.objects[job["scene"]]
-        assert abs(job["x_mm"]) <= scene.x_range_mm
-        assert abs(job["theta_deg"]) <= scene.theta_range_deg
-        assert abs(job["x_mm"]) > 2.5 or abs(job["theta_deg"]) > 3.0
-    assert len({job["seed"] for job in [*cell.probes(60), *cell.jobs(60, 3), *next(cell.signs())]}) == 124
+        for x_mm, theta_deg in [(job["x_mm"], job["theta_deg"]), *job["starts"]]:
+            assert abs(x_mm) <= scene.x_range_mm
+            assert abs(theta_deg) <= scene.theta_range_deg
+            assert abs(x_mm) > 2.5 or abs(theta_deg) > 3.0
+            places.add((x_mm, theta_deg))
+    assert len(places) == 60
+    assert len({job["seed"] for job in [*cell.probes(60), *cell.jobs(60, 3), *next(cell.signs())]}) == 13 + 64
     assert len(MISTAKES) == 6
+
+
+@pytest.mark.parametrize(("probes", "few", "all_"), [(20, 20, None), (50, 50, None), (63, 50, 63), (150, 50, 150)])
+def test_the_first_lesson_has_fifty_probes_and_splits_no_grasp(tmp_path, probes, few, all_):
+    cell, plan = Cell(World(), load_objects(OBJECTS), tmp_path, 1), Plan(tmp_path, tmp_path, probes, 1)
+    labelled = {tmp_path / f"sign-{index}": 1 for index in range(4)}
+    labelled |= {tmp_path / f"{n}": 1 + len(job["starts"]) for n, job in enumerate(cell.probes(probes - 4))}
+    made = {
+        name: sum(map(labelled.get, lesson)) for name, lesson in commissioning._lessons(cell, plan, labelled).items()
+    }
+    assert made == {"after_50": few, **({"after_150": all_} if all_ else {})}
 
 
 def test_each_world_begins_from_starts_of_its_own_so_that_those_of_all_worlds_can_be_counted_together(tmp_path):

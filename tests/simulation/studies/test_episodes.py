@@ -9,6 +9,7 @@ from simulation.closed_loop.job import job_in
 from simulation.scene import drawn
 from simulation.studies.episodes import Episode, play
 from simulation.studies.pace.points import client, with_care
+from simulation.studies.wiring import BEFORE_SIGNS
 
 HEXAGON = """
 [object]
@@ -27,7 +28,7 @@ def test_a_probe_whose_object_hangs_askew_is_repeated_in_a_new_grasp_and_only_th
     hexagon = tmp_path / "hexagon.toml"
     hexagon.write_text(HEXAGON)
     given = with_care(client(), world, str(hexagon), None)
-    job = job_in(world, str(hexagon), 3, (1.2, -6.94), 3844133872, client=given, purpose="probe")
+    job = job_in(world, str(hexagon), 3, (1.2, -6.94), 3844133872, client=given, **BEFORE_SIGNS)
     row = play(Episode(tmp_path / "probe", released_models(), job))
     assert (row["reason"], row["grasps"], row["attempts"]) == ("", 2, 1)
     assert row["robot_s"] > 25.0, "twice to the fixture"
@@ -41,7 +42,7 @@ def test_a_probe_in_which_the_arm_paused_is_repeated_in_a_new_grasp_and_only_tha
     tables["camera"] |= {"fps": 16.0, "dropped_share": 0.2}
     world = drawn.world(tables, "slow cameras")
     given = with_care(client(), world, "rectangle", None)
-    job = job_in(world, "rectangle", 0, (8.0, 8.0), 5, client=given, purpose="probe")
+    job = job_in(world, "rectangle", 0, (8.0, 8.0), 5, client=given, **BEFORE_SIGNS)
     row = play(Episode(tmp_path / "probe", released_models(), job))
     assert (row["reason"], row["grasps"], len(row["trials"])) == ("", 2, 1)
     assert row["trials"][0]["decision"]["reason"] != "stale"

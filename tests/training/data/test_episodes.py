@@ -67,6 +67,19 @@ def test_errors_are_those_told_of_probes_and_the_moves_that_were_left_of_inserti
     assert read.objects.tolist() == ["probe", "work", "later", "later"]
 
 
+def test_each_attempt_of_a_probe_has_the_error_of_its_own_start_and_may_evaluate(tmp_path):
+    rng = np.random.default_rng(0)
+    starts = [{"x_mm": 4.0, "yaw_deg": -6.0}, {"x_mm": -9.0, "yaw_deg": 1.0}]
+    shown = [(steps_of(1, 1, rng), {"dx_mm": 2.0, "dtheta_deg": 1.0}) for _ in range(4)]
+    keep(tmp_path / "a", shown, "probe", "failed", -7.0, 3.0, starts=starts)
+    read = read_episodes(tmp_path, Sensor.load())
+    assert read.error.tolist() == [[-7.0, 3.0], [4.0, -6.0], [-9.0, 1.0]], "of the fourth nothing is known"
+    assert set(read.objects.tolist()) == {"probe"}
+    assert set(read.groups.tolist()) == {"a"}, "one grasp"
+    (tmp_path / "a" / "attempt_02.npz").unlink()
+    assert read_episodes(tmp_path, Sensor.load()).error.tolist() == [[-7.0, 3.0], [-9.0, 1.0]]
+
+
 def test_recordings_say_whether_their_cell_is_real_and_older_ones_do_not(tmp_path):
     rng, samples = np.random.default_rng(0), Sensor.load()
     for name, stated in (
@@ -132,6 +145,7 @@ def test_an_attempt_that_holds_no_input_of_such_networks_is_named(tmp_path, chan
         {"approach": None},
         {"approach": {"x_mm": math.nan, "yaw_deg": 1.0}},
         {"approach": {"x_mm": 8000.0, "yaw_deg": 1.0}},  # in micrometres
+        {"starts": [{"x_mm": 1.0}]},
         {"decisions": 5},
         {"decisions": [5]},
     ],
