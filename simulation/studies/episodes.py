@@ -12,6 +12,7 @@ import numpy as np
 from reporting.files import write_durably
 from robot_client.insertion.state import REFUSED, Phase, Plan, State
 from robot_client.session.commission.run import GRASPS_N, STALE
+from service.contract import wire
 from service.decision.attempt import Attempt
 from service.decision.work import read_by_depth
 from simulation.closed_loop.client import trip_s
@@ -83,23 +84,29 @@ def _in_one_grasp(place: Place, insertion: Insertion, plan: Plan) -> tuple[Outco
     return outcome, [(place, one) for one in attempts if one.arm.insertion_id == last]
 
 
-def _at_each(left: Sequence[Place], insertion: Insertion, plan: Plan) -> tuple[Outcome, list[Answered]]:
+def _at_each(places: Sequence[Place], insertion: Insertion, plan: Plan) -> tuple[Outcome, list[Answered]]:
     """Probe at each of these errors, with one grasp at as many as the client can."""
-    answered, askew_n, poses = list[Answered](), 0, (plan.approach, *plan.starts)
+    left = list(zip(places, (plan.approach, *plan.starts), strict=True))
+    answered, in_vain_n = list[Answered](), 0
     while True:
         attempts = list[Attempt]()
         insertion.session.on_attempt = attempts.append
         outcome, state = insertion.run(), insertion.state
-        answered += zip(left, attempts, strict=False)
         went_in = state.phase is Phase.PROBED and len(attempts) < state.attempt
-        done_n = len(attempts) + went_in
-        left, poses, askew_n = left[done_n:], poses[done_n:], 0 if attempts else askew_n + 1
-        goes_on = state.phase is Phase.PROBED or (state.reason.startswith(REFUSED) and askew_n < GRASPS_N)
-        if not (left and goes_on):
+        kept = [(place, one) for (place, _), one in zip(left, attempts, strict=False) if not _stale(one)]
+        again = [start for start, one in zip(left, attempts, strict=False) if _stale(one)]
+        left, in_vain_n = again + left[len(attempts) + went_in :], 0 if kept or went_in else in_vain_n + 1
+        answered += kept
+        goes_on = state.phase is Phase.PROBED or state.reason.startswith(REFUSED)
+        if not (left and goes_on and in_vain_n < GRASPS_N):
             return outcome, answered
-        plan = plan.model_copy(update={"approach": poses[0], "starts": poses[1:]})
+        plan = plan.model_copy(update={"approach": left[0][1], "starts": tuple(pose for _, pose in left[1:])})
         insertion.take_afresh(plan)
         insertion.begin_again(plan)
+
+
+def _stale(attempt: Attempt) -> bool:
+    return isinstance(attempt.decision, wire.NoDecision) and attempt.decision.reason == STALE
 
 
 def hangs_askew(insertion: Insertion) -> bool:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import count, islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,7 +34,7 @@ REACH = (15.0, 15.0)
 FITS = (2.5, 3.0)
 """Approximate errors that insert: no probe begins there."""
 GRASPS_N = 3
-"""Most grasps for a probe: in some the object hangs too far askew to be pressed. As many may be stale."""
+"""Most grasps without a probe to keep: in some the object hangs too far askew to be pressed, others are stale."""
 PER_GRASP = 5
 """Probes to learn from with one grasp, as in the paper; fewer where the hand cannot hold the object upright."""
 STALE = "stale"
@@ -126,8 +127,7 @@ class Commissioning:
                 pictures = await self._pictured(f"press_{number + 1}", done)
                 self._keep(presses=(*self.record.presses, done), pictures=pictures)
             while not self.record.named and self.record.done_n < probes_n:
-                first, most_n = len(self.record.probes), min(PER_GRASP, probes_n - self.record.done_n)
-                await self._probe_several([self.draw(first + n) for n in range(most_n)], probes_n)
+                await self._probe_several(probes_n)
         except asyncio.CancelledError:
             raise DriverError(
                 "operator: interrupted between two probes, nothing moves; run it again to go on"
@@ -172,19 +172,30 @@ class Commissioning:
         self.show(f"{title}: {in_words(done)}")
         return done
 
-    async def _probe_several(self, places: Sequence[tuple[float, float]], probes_n: int) -> None:
-        """Probe at these errors with one grasp, at as many as it allows; each is kept while the next is under way."""
-        answered: asyncio.Queue[Answered | None] = asyncio.Queue()
-        keeping = asyncio.create_task(self._keep_each(answered, probes_n))
-        try:
-            ended = await self._in_new_grasp(partial(self.several, places, answered.put_nowait))
-        finally:
-            answered.put_nowait(None)
-            await asyncio.wait({keeping})
-        if problem := keeping.result():
-            raise problem
-        if not (ended.probes and ended.reason.startswith(REFUSED)):
-            self._checked(f"probe {self.record.done_n + (not ended.probes)} of {probes_n}", ended)
+    async def _probe_several(self, probes_n: int) -> None:
+        """Probe at the next errors with one grasp, at as many as it allows; each is kept while the next is under way.
+
+        Raises DriverError where none of several grasps in a row gives a probe to learn from.
+        """
+        made, done_n = {(one.x_mm, one.theta_deg) for one in self.record.probes}, self.record.done_n
+        left = (place for place in map(self.draw, count()) if place not in made)
+        places = list(islice(left, min(PER_GRASP, probes_n - done_n)))
+        for _ in range(GRASPS_N):
+            answered: asyncio.Queue[Answered | None] = asyncio.Queue()
+            keeping = asyncio.create_task(self._keep_each(answered, probes_n))
+            try:
+                ended = await self._in_new_grasp(partial(self.several, places, answered.put_nowait))
+            finally:
+                answered.put_nowait(None)
+                await asyncio.wait({keeping})
+            if problem := keeping.result():
+                raise problem
+            title = f"probe {self.record.done_n + 1} of {probes_n}"
+            if not (ended.probes and ended.reason.startswith(REFUSED)):
+                self._checked(title, ended)
+            if self.record.done_n > done_n:
+                return
+        raise DriverError(f"{title}: nothing is learnt in {GRASPS_N} grasps in a row: {ended.probes[-1].said}")
 
     async def _keep_each(self, answered: asyncio.Queue[Answered | None], probes_n: int) -> Exception | None:
         """Keep probes until None comes; what is wrong with one, after which none is kept."""
@@ -192,7 +203,9 @@ class Commissioning:
         while (one := await answered.get()) is not None:
             title = f"probe {self.record.done_n + 1} of {probes_n}{self._left(probes_n)}"
             try:
-                if not problem:
+                if one.probe.said.startswith(STALE):
+                    self.show(f"{title}: nothing is learnt from this attempt: {one.probe.said}")
+                elif not problem:
                     self.check_gels(one.gels, title)
                     kept = partial(self._keep, probes=(*self.record.probes, one.probe))
                     await asyncio.to_thread(kept)  # the arm is guided meanwhile

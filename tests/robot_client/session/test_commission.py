@@ -74,7 +74,7 @@ def commissioning(cell, path, record=None):
 def test_it_goes_on_where_it_was_broken_off_and_loses_the_probe_under_way(tmp_path):
     path, whole, broken = tmp_path / "record.toml", Cell(), Cell(fails_at=8)
     asyncio.run(commissioning(whole, tmp_path / "whole.toml").run(10))
-    with pytest.raises(DriverError, match=r"probe 7 of 10.*tilt"):
+    with pytest.raises(DriverError, match=r"probe 8 of 10.*tilt"):
         asyncio.run(commissioning(broken, path).run(10))
     assert read_record(path).labelled_n == 7
     record = asyncio.run(commissioning(broken, path, read_record(path)).run(10))

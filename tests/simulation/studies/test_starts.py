@@ -10,6 +10,7 @@ from service.contract import Sensor, wire
 from service.contract.shipped import released_models
 from simulation.closed_loop.job import job_in
 from simulation.closed_loop.play import Insertion
+from simulation.scene import drawn
 from simulation.scene.worlds import World
 from simulation.studies import episodes
 from simulation.studies.episodes import Episode, play
@@ -58,6 +59,18 @@ def test_a_start_from_which_the_object_goes_in_has_no_label_and_moves_none_of_th
     row = play(Episode(tmp_path / "cell" / "00000", released_models(), asked))
     assert row["grasps"] == 2
     assert read_episodes(tmp_path / "cell", Sensor.load()).error.tolist() == [list(STARTS[0]), list(STARTS[1])]
+
+
+def test_a_press_in_which_the_arm_paused_is_made_again_and_not_stored(tmp_path):
+    """Cameras that lose a tenth of their frames: the lease ends in one press."""
+    tables = drawn.draw_worlds(12, 105)[4]
+    tables["gel"]["tier"] = "bristle"
+    tables["camera"] |= {"fps": 30.0, "dropped_share": 0.1}
+    row = probed(tmp_path / "cell" / "00000", drawn.world(tables, "slow cameras"))
+    reasons = [trial["decision"].get("reason") for trial in row["trials"]]
+    assert (reasons.count("stale"), row["grasps"]) == (1, 2)
+    made = read_episodes(tmp_path / "cell", Sensor.load()).error.tolist()
+    assert sorted(made) == sorted(map(list, STARTS))
 
 
 def test_an_object_that_always_hangs_turned_ends_it(tmp_path, monkeypatch):
