@@ -25,6 +25,7 @@ PROTOCOL, ATTEMPTS = 2, 15
 TRAVEL_MM = 1.5  # the furthest way from the capture of the last judged frame to standstill
 HEARTBEAT_S = 0.5
 READY_S, ANSWER_S = 5.0, 15.0  # the service answers within 2 s, and after `stopped` within 10 s
+FINISHED_S = 30.0  # at full depth it waits for its recording, on a slow disk, too
 CAMERA_FAULTS = {"camera_lost", "camera_stalled", "camera_frozen", "camera_size", "stale_frames"}
 FINAL_REASONS = {"non_finite", "contradictory"}  # of `no_decision`: probing again would not help
 MOST_NO_DECISIONS = 2  # in a row
@@ -251,7 +252,9 @@ def _attempt(arm: Arm, service: Service, task: Task, attempt: int) -> Message:
     depth_mm = arm.depth_mm()
     outcome = "inserted" if depth_mm >= task.depth_mm - 1.0 else "blocked" if touched else "stopped"
     service.say("stopped", attempt=attempt, depth_mm=depth_mm, outcome=outcome, gripper_width_mm=arm.width_mm())
-    return service.wait("finished" if outcome == "inserted" else "correction", "no_decision", timeout_s=ANSWER_S)
+    if outcome == "inserted":
+        return service.wait("finished", timeout_s=FINISHED_S)
+    return service.wait("correction", "no_decision", timeout_s=ANSWER_S)
 
 
 def _refusal(task: Task, refused: Message) -> str:

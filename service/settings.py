@@ -47,7 +47,7 @@ OTHER_VARIABLES = ("TACTILE_INSERTION_", "TACTILE_REAL_DATA", "TACTILE_SCREENSHO
 class Deadlines:
     """Time limits of the stages of an attempt."""
 
-    reference_s: float = 2.0  # from `arm` to the first pair captured after it
+    reference_s: float = 2.0  # from `arm` to the first pair captured after it, from `learn_open` to its answer
     decision_frames_s: float = 2.0  # from `stopped` to the last frame the networks need
     decision_s: float = 10.0  # from `stopped` to the networks' result
 
@@ -116,7 +116,9 @@ class Settings(BaseSettings):
     max_dtheta_deg: float = Field(15.0, gt=0, le=45, description="largest yaw correction ever sent")
     max_frame_age_ms: float = Field(150.0, gt=0, description="an older newest frame during a descent is a fault")
     client_timeout_s: float = Field(10.0, gt=0, description="a silent driving client is given up after this")
-    reference_timeout_s: float = Field(2.0, gt=0, description="from arm to a reference; later is a fault")
+    reference_timeout_s: float = Field(
+        2.0, gt=0, description="from arm to a reference (later is refused), and from learn_open to its answer"
+    )
     frames_timeout_s: float = Field(2.0, gt=0, description="from stopped to the last frame that the networks need")
     decision_timeout_s: float = Field(10.0, gt=0, description="from stopped to the answer; later is no_decision")
     camera_wait_s: float = Field(10.0, ge=0, description="how long start-up waits for each camera's first frame")

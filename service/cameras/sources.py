@@ -19,7 +19,7 @@ from service.cameras.capture import CameraError, Capture, Source, now_ns
 from service.cameras.recorded import RecordingSource
 from service.contract import TactileFrame
 from service.contract.refusals import nearest
-from service.contract.text import without_secrets
+from service.contract.text import split_address, without_secrets
 
 CONNECT_TIMEOUT_S = 0.6  # with the pause between tries, a returned camera is noticed within 1 s
 READ_TIMEOUT_S = 1.0
@@ -264,8 +264,7 @@ class PushSource:
 def open_source(url: str, *, frame_rate_hz: float = 30.0) -> Source:
     """The source a URL names; raises CameraError with the accepted forms otherwise."""
     if url.startswith("http://"):
-        if not urlsplit(url).hostname:
-            raise CameraError(f"camera {url!r} names no host")
+        _check_address(url)
         return MjpegSource(url)
     if device := re.fullmatch(r"(?:v4l2:|/dev/video)(\d+)", url):
         return V4l2Source(int(device[1]), frame_rate_hz)
@@ -277,4 +276,19 @@ def open_source(url: str, *, frame_rate_hz: float = 30.0) -> Source:
     if url.startswith("file:") or (url and path.exists()):
         return RecordingSource(path)
     hint = nearest(url.split(":", maxsplit=1)[0] + ":", SCHEMES)
-    raise CameraError(f"camera {url!r}: expected http://HOST:PORT/PATH, v4l2:N, file:PATH or push:{hint}")
+    shown = without_secrets(url) if "://" in url else re.sub(r".*:.*@", "...@", url)
+    raise CameraError(f"camera {shown!r}: expected http://HOST:PORT/PATH, v4l2:N, file:PATH or push:{hint}")
+
+
+def _check_address(url: str) -> None:
+    """Raise CameraError, which shows no password, for an address that is ambiguous or that no request can hold."""
+    shown, parts = without_secrets(url), split_address(url)
+    if parts is None:
+        raise CameraError(
+            f"camera {shown!r}: expected http://USER:PASSWORD@HOST:PORT/PATH; in user and password write / as %2F,"
+            " ? as %3F, # as %23, [ as %5B and ] as %5D, and an @ after the host as %40"
+        )
+    if not parts.hostname:
+        raise CameraError(f"camera {shown!r} names no host")
+    if re.search(r"[^!-~]", url.rpartition("@")[2]):
+        raise CameraError(f"camera {shown!r}: write a space as %20, and other letters than ASCII's as %XX, too")

@@ -9,11 +9,12 @@ import sys
 import textwrap
 from collections.abc import Callable
 from typing import Any, NoReturn
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 from service.contract.refusals import reason
 
 WIDTH = 80
+_ADDRESS = re.compile(r"(?!file:)[A-Za-z][A-Za-z0-9+.-]*://")
 
 
 def printable(line: str) -> str:
@@ -22,11 +23,27 @@ def printable(line: str) -> str:
 
 
 def without_secrets(url: str) -> str:
-    """An http address as everybody may read it: without user, password and query; any other text as it is."""
-    if not url.startswith(("http://", "https://")):
+    """An address as everybody may read it: without user, password and query; any other text as it is.
+
+    Of an address that :func:`split_address` cannot split, only the scheme is shown.
+    """
+    scheme = _ADDRESS.match(url)
+    if scheme is None:
         return url
-    parts = urlsplit(url)
+    if (parts := split_address(url)) is None:
+        return f"{scheme[0]}..."
     return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}{'?...' if parts.query else ''}"
+
+
+def split_address(url: str) -> SplitResult | None:
+    """The parts of an address, None where a part of its password may stand in another one, as after a raw slash."""
+    try:
+        parts = urlsplit(url)
+        if parts.port == 0 or "@" in f"{parts.path}{parts.query}{parts.fragment}":
+            return None
+    except ValueError:  # such as a password's beginning in the place of the port
+        return None
+    return parts
 
 
 def fitted(line: str, indent: int | None = None, width: int = WIDTH) -> str:

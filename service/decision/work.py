@@ -142,8 +142,23 @@ def latencies(run: DecisionRun, last: PairObservation) -> dict[str, float]:
     return slowest | {"networks_last_step": run.step_ms}
 
 
+def unknown_depth(attempt: Attempt) -> Refusal | None:
+    """Why it is not known how far the arm had pressed in an attempt's pictures, None if it is."""
+    if attempt.broken:
+        return Refusal("stale", f"a camera failed during the attempt: {attempt.broken}")
+    if attempt.stale_sent:
+        why = "the frames grew too old during the attempt"
+    elif attempt.outcome == "stopped":  # what came since it stood shows no further press
+        why = "the arm stopped for another reason than slip or enough"
+    else:
+        return None
+    return Refusal("stale", f"{why}, so the depth of its pictures is not known")
+
+
 def check_evidence(models: ModelSet, attempt: Attempt, evidence: Evidence) -> None:
-    """Raise Refusal if the evidence is too weak, or the markers too few for these to be imprints."""
+    """Raise Refusal if the evidence is too weak, of no known depth, or of too few markers to be imprints."""
+    if refusal := unknown_depth(attempt):
+        raise refusal
     if not attempt.decision_pairs:
         raise Refusal("no_motion", "no pair shows the motion that the evidence is of")
     if attempt.paused_in_press:

@@ -13,7 +13,7 @@ from service.decision.consistency import Consistency
 from service.decision.controllers import Command, Controller, make_controller
 from service.decision.evidence import Evidence, Refusal
 from service.decision.models import ModelSet
-from service.decision.work import check_evidence, correction, overdue, shown_turns_deg
+from service.decision.work import check_evidence, correction, overdue, shown_turns_deg, unknown_depth
 from service.settings import Deadlines
 
 Decision = wire.Correction | wire.NoDecision
@@ -77,8 +77,8 @@ class Decider:
         self.command = None
         if attempt.stage is not Stage.STOPPED:
             return None
-        if attempt.broken:
-            return self._refuse(attempt, Refusal("stale", f"a camera failed during the attempt: {attempt.broken}"))
+        if refusal := unknown_depth(attempt):  # at once: the frames that it lacks may never come
+            return self._refuse(attempt, refusal)
         if attempt.result is None:
             refusal = overdue(attempt, _stood_s(attempt, now_ns), self.models.card.frames_per_decision, self.deadlines)
             return None if refusal is None else self._refuse(attempt, refusal)

@@ -23,6 +23,7 @@ from service.cameras.sources import open_source
 from service.contract import Finger, FrameSpec, Sensor
 from service.contract.frames import MAX_SIDE_PX
 from service.contract.sensor import Edge
+from service.contract.text import without_secrets
 from service.perception.lens import transformed
 from service.perception.light import light_of
 from service.perception.markers.fingerprint import fingerprint_of
@@ -63,20 +64,20 @@ class Fit(NamedTuple):
 
 def still_image(url: str, frames: int) -> NDArray[np.uint8]:
     """Median uint8 [h, w, 3] of a camera's next frames; raises CameraError if they do not come within ten seconds."""
-    source, stop = open_source(url), threading.Event()
+    source, stop, shown = open_source(url), threading.Event(), without_secrets(url)
     timer = threading.Timer(WAIT_S, stop.set)
     timer.start()
     began = time.monotonic()
     try:
         images = [capture.image() for capture in islice(source.frames(stop), max(frames, 1))]
     except (OSError, HTTPException, ValueError) as error:
-        raise CameraError(f"camera {url}: {str(error) or type(error).__name__}") from error
+        raise CameraError(f"camera {shown}: {str(error) or type(error).__name__}") from error
     finally:
         timer.cancel()
     if not images:
-        raise CameraError(f"camera {url} gave no frame within {time.monotonic() - began:.0f} s")
+        raise CameraError(f"camera {shown} gave no frame within {time.monotonic() - began:.0f} s")
     if len({pixels.shape for pixels in images}) > 1:
-        raise CameraError(f"camera {url} changed its frame size while it was watched")
+        raise CameraError(f"camera {shown} changed its frame size while it was watched")
     return np.asarray(np.median(np.stack(images), axis=0), np.uint8)
 
 
@@ -239,7 +240,9 @@ def check_two_cameras(left: tuple[str, Fit], right: tuple[str, Fit]) -> None:
     """
     (left_url, left_fit), (right_url, right_fit) = left, right
     if left_url == right_url:
-        raise CalibrationError(f"left and right are the same camera, {left_url}; expected one for each finger")
+        raise CalibrationError(
+            f"left and right are the same camera, {without_secrets(left_url)}; expected one for each finger"
+        )
     one, other = left_fit.camera.measured, right_fit.camera.measured
     if one is not None and other is not None and one.serial and one.serial == other.serial:
         raise CalibrationError(f"left and right are the same camera, serial {one.serial}")

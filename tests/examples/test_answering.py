@@ -44,9 +44,9 @@ class Answering:
         wait_for(lambda: self.answered_n >= answers_n)
         return self.link.ping().wait(10.0)
 
-    def held(self, arm: TinyArm) -> str:
+    def held(self, arm: TinyArm, depth_mm: float = 4.0) -> str:
         """Why an insertion of the example's with this arm is held."""
-        task = controller.Task("box", gap_width_mm=56.0, depth_mm=4.0, speed_mm_s=0.5)
+        task = controller.Task("box", gap_width_mm=56.0, depth_mm=depth_mm, speed_mm_s=0.5)
         url = f"ws://127.0.0.1:{self.server.socket.getsockname()[1]}/v1/insertion"
         with self.server, pytest.raises(controller.Held) as held:
             controller.insert(arm, "token", task, url)
@@ -78,3 +78,15 @@ def test_nothing_moves_after_the_last_attempt(monkeypatch: pytest.MonkeyPatch) -
     assert service.held(arm) == "not inserted after 1 attempts"
     assert arm.stopped
     assert (arm.retracted, arm.moves) == (0, [])
+
+
+def test_at_full_depth_it_waits_as_long_as_a_slow_disk_may_take_for_the_recording(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert controller.FINISHED_S == 30.0, "as docs/api.md asks"
+    monkeypatch.setattr(controller, "ANSWER_S", 0.1)
+    monkeypatch.setattr(controller, "FINISHED_S", 0.2)
+    service = Answering(arm=[{"type": "armed"}])
+    assert service.held(TinyArm(), depth_mm=0.9) == "no finished within 0.2 s"
+    blocked = Answering(arm=[{"type": "armed"}], descending=[{"type": "slip"}])
+    assert blocked.held(TinyArm()) == "no correction or no_decision within 0.1 s"

@@ -8,17 +8,19 @@ const words = (text) => (text ?? "").replaceAll("_", " ");
 const RECENT = 20; // insertions of a moving mean
 const MEANT = ["aborted", "probed", "regrasped"]; // by a person, as a probe, or to be regrasped: neither inserted nor failed
 const LISTED = 500; // insertions at most, in the table and in the trends
-let all = [];
+let all = [], more = ""; // what is listed, and whether there are others
 const plots = []; // of the trends that are shown
 at("by-id").oninput = show;
 
 export async function listPast() {
   if (at("history").hidden) return;
-  const { ok, told } = await ask("/v1/recordings");
+  const { ok, told } = await ask(`/v1/recordings?newest=${LISTED + 1}`);
   if (!ok) { at("count").textContent = told.error; return; }
   const { recordings, problems } = told;
   all = recordings;
   for (const one of [...all].reverse()) one.attempts = one.descended_n + earlier(one);
+  more = all.length > LISTED ? `; the newest ${LISTED} listed` : "";
+  all = all.slice(0, LISTED);
   at("problems").replaceChildren(...problems.map((textContent) => element("p", { className: "bad", textContent })));
   for (const [key, id] of Object.entries(FILTERS)) options(at(id), [...new Set(all.map((one) => one[key] ?? ""))].sort());
   show();
@@ -37,10 +39,10 @@ function options(select, values) {
 function show() {
   const chosen = all.filter((one) => Object.entries(FILTERS).every(([key, id]) => at(id).value === "*" || (one[key] ?? "") === at(id).value) && one.insertion_id.includes(at("by-id").value.trim()));
   const inserted = chosen.filter(({ outcome }) => outcome === "inserted"), ended = chosen.filter(({ outcome }) => !MEANT.includes(outcome));
-  const others = MEANT.map((meant) => [chosen.filter(({ outcome }) => outcome === meant).length, meant]).filter(([n]) => n).map((counted) => counted.join(" ")).join(", "), more = chosen.length > LISTED ? `; the newest ${LISTED} listed` : "";
-  at("count").textContent = ended.length ? `${inserted.length} of ${ended.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}${others ? `; ${others}, not counted` : ""}${more}` : others || "none";
-  renew(at("past"), chosen.slice(0, LISTED).map(row));
-  trend(ended.slice(0, LISTED).reverse());
+  const others = MEANT.map((meant) => [chosen.filter(({ outcome }) => outcome === meant).length, meant]).filter(([n]) => n).map((counted) => counted.join(" ")).join(", ");
+  at("count").textContent = ended.length ? `${inserted.length} of ${ended.length} inserted${inserted.length ? `, ${mean(inserted.map((one) => one.attempts)).toFixed(2)} attempts on average` : ""}${others ? `; ${others}, not counted` : ""}${more}` : (others || "none") + more;
+  renew(at("past"), chosen.map(row));
+  trend(ended.reverse());
 }
 
 // By the viewer's clock, as alarms have it; the service tells UTC.

@@ -1,9 +1,11 @@
 """Finished insertions under /v1/recordings: listed, downloaded, played back, removed."""
 
 import shutil
+from itertools import islice
 from pathlib import Path
+from typing import Annotated
 
-from fastapi import APIRouter, HTTPException, Response
+from fastapi import APIRouter, HTTPException, Query, Response
 from fastapi.responses import FileResponse
 from pydantic import BaseModel
 from pydantic_core import to_json
@@ -15,6 +17,8 @@ from service.recordings.writer import FINAL
 from service.session.station import Station
 from service.web.access import Access
 from service.web.reading import Reading
+
+Newest = Annotated[int, Query(ge=1, le=10_000, description="only so many, the newest; all by default")]
 
 
 class Listed(Summary):
@@ -60,10 +64,11 @@ def recording_file(root: Path, name: str) -> Path:
     return path
 
 
-def _list(root: Path, insertion_id: str | None) -> bytes:
+def _list(root: Path, insertion_id: str | None, newest: int | None) -> bytes:
     """Recordings as JSON, in steps of one: all at once would keep every other thread waiting meanwhile."""
     problems: list[str] = []
-    listed = b",".join(to_json(one, inf_nan_mode="null") for one in each_recording(root, problems, insertion_id))
+    some = islice(each_recording(root, problems, insertion_id), newest)
+    listed = b",".join(to_json(one, inf_nan_mode="null") for one in some)
     return b'{"recordings":[%b],"problems":%b}' % (listed, to_json(problems))
 
 
@@ -73,8 +78,8 @@ def router(station: Station, access: Access, reading: Reading) -> APIRouter:
     root = station.settings.recordings
 
     @routes.get("", dependencies=watch, response_model=Recordings)
-    async def recordings(insertion_id: wire.InsertionId | None = None) -> Response:
-        return Response(await reading(_list, root, insertion_id), media_type="application/json")
+    async def recordings(insertion_id: wire.InsertionId | None = None, newest: Newest | None = None) -> Response:
+        return Response(await reading(_list, root, insertion_id, newest), media_type="application/json")
 
     @routes.get("/{name}", dependencies=watch, response_class=Mcap)
     def recording(name: str) -> Mcap:

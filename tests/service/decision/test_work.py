@@ -61,6 +61,19 @@ def test_the_depth_of_a_press_in_which_the_arm_paused_is_not_known() -> None:
         check_evidence(models, descent(decision_pairs=[]), evidence)
 
 
+@pytest.mark.parametrize("why", [{"stale_sent": True}, {"outcome": "stopped"}, {"broken": "left is gone"}])
+def test_no_version_learns_from_pictures_of_unknown_depth(why: dict[str, Any]) -> None:
+    """Those beside the active one have the same steps, and would answer."""
+    models = SimpleNamespace(steps=[SimpleNamespace(card=SimpleNamespace(min_confidence=0.0))])
+    attempt, evidence = descent(decision_pairs=[pair()], outcome="blocked"), SimpleNamespace(confidence=1.0)
+    check_evidence(models, attempt, evidence)
+    for name, value in why.items():
+        setattr(attempt, name, value)
+    with pytest.raises(Refusal) as refused:
+        check_evidence(models, attempt, evidence)
+    assert refused.value.reason == "stale"
+
+
 def test_what_moved_before_the_arm_did_is_no_press() -> None:
     attempt = descent(onset_ns=5, descending_ns=None, fed=True)
     attempt.ring.append(pair())

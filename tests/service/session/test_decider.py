@@ -98,6 +98,16 @@ def test_an_attempt_is_answered_once_it_stands_and_its_networks_have_answered() 
     ("attempt", "reason", "detail"),
     [
         (blocked(broken="left is gone"), "stale", "a camera failed during the attempt: left is gone"),
+        (
+            blocked(stale_sent=True, result=None),
+            "stale",
+            "the frames grew too old during the attempt, so the depth of its pictures is not known",
+        ),
+        (
+            blocked(outcome="stopped"),
+            "stale",
+            "the arm stopped for another reason than slip or enough, so the depth of its pictures is not known",
+        ),
         (blocked(None, Refusal("no_motion", "nothing moved")), "no_motion", "nothing moved"),
         (blocked(None, None), "non_finite", "no evidence"),
         (blocked(result=None, fed=True), "stale", "the networks took longer than 10 s"),

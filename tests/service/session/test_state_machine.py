@@ -189,6 +189,27 @@ def test_frames_that_are_stale_again_after_a_new_arm_are_a_fault_again(session: 
     assert kinds(session.on_tick(1_400_000_000)) == ["fault"]
 
 
+@pytest.mark.parametrize(("outcome", "late"), [("blocked", True), ("stopped", False)])
+def test_a_press_whose_depth_is_not_known_is_answered_with_no_move(
+    session: InsertionSession, outcome: str, late: bool
+) -> None:
+    """Its frames grew too old before the last ones came, or the arm stopped of itself while others still came."""
+    hello(session)
+    arm = wire.Arm(insertion_id=ID, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)
+    messages = session.handle(arm, 0)
+    for index in range(30):
+        pair = drawn.pair(index)
+        messages += session.on_pair(pair, pair.captured_ns)
+        if index == 1:
+            messages += session.handle(wire.Descending(insertion_id=ID, attempt=1), pair.captured_ns)
+        if index == 14 and late:
+            messages += session.on_tick(pair.captured_ns + 600_000_000)
+    stopped = wire.Stopped(insertion_id=ID, attempt=1, depth_mm=3.0, outcome=outcome)
+    messages += session.handle(stopped, pair.captured_ns)
+    assert kinds(messages) == ["armed", *["fault"] * late, "slip", "no_decision"]
+    assert messages[-1].reason == "stale"
+
+
 def test_open_gels_that_no_new_frame_shows_are_a_fault_once_and_not_before_their_time(
     session: InsertionSession,
 ) -> None:

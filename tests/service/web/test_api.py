@@ -4,6 +4,7 @@ import tomllib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -61,6 +62,24 @@ def test_a_recording_is_found_by_the_name_of_its_insertion_alone(live: LiveServi
     assert httpx.get(live.url("/v1/recordings"), params={"insertion_id": "part-2"}).json()["recordings"] == []
     refused = httpx.get(live.url("/v1/recordings"), params={"insertion_id": "part/1"})
     assert (refused.status_code, "insertion_id" in refused.json()["error"]) == (422, True)
+
+
+def test_as_many_of_the_newest_recordings_are_listed_as_are_asked_for(live: LiveService) -> None:
+    names = [f"2026010{day}T000000_again" for day in (3, 2, 1)]
+    for name in names:
+        (live.recordings / name).mkdir()
+        facts = {"insertion_id": "again", "outcome": "inserted", "attempts": 1}
+        (live.recordings / name / "summary.json").write_text(json.dumps(facts))
+
+    def ask(**params: Any) -> httpx.Response:
+        return httpx.get(live.url("/v1/recordings"), params={"insertion_id": "again"} | params)
+
+    for params, listed in (({}, names), ({"newest": 2}, names[:2]), ({"newest": 10_000}, names)):
+        assert [one["name"] for one in ask(**params).json()["recordings"]] == listed
+    assert len(httpx.get(live.url("/v1/recordings"), params={"newest": 1}).json()["recordings"]) == 1
+    for newest in (0, -1, 10_001, "all"):
+        refused = ask(newest=newest)
+        assert (refused.status_code, "newest" in refused.json()["error"]) == (422, True)
 
 
 def test_a_recording_that_two_remove_at_once_is_removed_and_nothing_breaks(live: LiveService) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
@@ -28,7 +29,12 @@ def listed(count: int) -> dict[str, Any]:
 def history(live: LiveService, browser: Any, count: int, panel: str, **options: Any) -> Iterator[Any]:
     width, height = PANELS[panel]
     page = browser.new_page(viewport={"width": width, "height": height}, **options)
-    page.route("**/v1/recordings", lambda route: route.fulfill(json=listed(count)))
+
+    def answer(route: Any) -> None:
+        asked = int(parse_qs(urlsplit(route.request.url).query)["newest"][0])
+        route.fulfill(json=listed(min(count, asked)))
+
+    page.route("**/v1/recordings?*", answer)
     page.goto(live.url("/#history"))
     wait_until(page, "document.querySelectorAll('#past tr').length > 0")
     yield page
@@ -40,7 +46,9 @@ def test_a_thousand_insertions_fit(live: LiveService, browser: Any, panel: str) 
     """Charts as high as the list, and names as wide as the longest one, would leave nothing to look at."""
     with history(live, browser, 1000, panel) as page:
         wait_until(page, TREND)
-        assert "the newest 500 listed" in page.locator("#count").text_content()
+        count = page.locator("#count").text_content()
+        assert count == "500 of 500 inserted, 2.00 attempts on average; the newest 500 listed"
+        assert page.locator("#past tr").count() == 500
         wide = "e => e.offsetParent && e.scrollWidth > e.clientWidth"
         sideways = f"[document.documentElement, ...document.querySelectorAll('.table, .filters')].filter({wide}).length"
         assert page.evaluate(sideways) == 0

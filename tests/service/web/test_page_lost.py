@@ -66,10 +66,10 @@ def test_a_playback_says_when_the_service_does_not_answer(live: LiveService, pag
 
 
 def test_a_history_that_cannot_be_read_says_so(live: LiveService, page: Any) -> None:
-    page.route("**/v1/recordings", lambda route: route.abort())
+    page.route("**/v1/recordings?*", lambda route: route.abort())
     page.goto(live.url("/#history"))
     wait_until(page, "document.getElementById('count').textContent.includes('does not answer')")
-    page.unroute("**/v1/recordings")
+    page.unroute("**/v1/recordings?*")
     page.goto(live.url("/#live"))
     page.goto(live.url("/#history"))
     wait_until(page, "!document.getElementById('count').textContent.includes('does not answer')")
