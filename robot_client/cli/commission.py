@@ -48,6 +48,11 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
     taught = settings.cycle
     if taught is None:
         raise SettingsError("commission: the configuration lacks the table [cycle] with pick and open_mm")
+    if not taught.regrasp:
+        raise SettingsError(
+            "cycle.regrasp = false: a commissioning puts the object back into its fixture, which must not fill up"
+            " again: stop the feeder, and set cycle.regrasp = true for that time"
+        )
     taught.check(settings.limits)
     for x_mm, theta_deg in (*SIDES, REACH, (-REACH[0], -REACH[1])):
         make_plan(settings, x_mm, theta_deg, None, None).check()

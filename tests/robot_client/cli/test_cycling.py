@@ -263,6 +263,18 @@ def test_nothing_is_picked_for_a_plan_that_would_be_refused(command, mode, toml,
     assert expect in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("mode", [["--live"], []])
+def test_nothing_is_commissioned_at_a_fixture_that_fills_up_again(mode, tmp_path, capsys):
+    """Each probe puts the object back there, where the feeder has put another one."""
+    (tmp_path / "cell.toml").write_text(TAUGHT.replace("[cycle]\n", "[cycle]\nregrasp = false\n"))
+    paths = ["--config", str(tmp_path / "cell.toml"), "--out", str(tmp_path / "record")]
+    assert main(["commission", *mode, *paths, "--gripper", "127.0.0.1:9", "--rws-url", "http://127.0.0.1:9"]) == 2
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err.count("\n")) == ("", 1)
+    assert "stop the feeder" in shown.err
+    assert "cycle.regrasp = true" in shown.err
+
+
 @pytest.mark.parametrize("command", [["cycle", "--uncommissioned", "--logs"], ["commission", "--out"]])
 @pytest.mark.parametrize("folder", ["/dev/null", "/proc/none"])
 def test_a_folder_that_takes_no_files_is_refused_before_anything_moves(command, folder, tmp_path, capsys):
