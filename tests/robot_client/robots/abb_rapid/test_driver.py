@@ -223,8 +223,10 @@ async def test_what_the_modules_refuse_is_refused_by_their_emulation():
 def test_an_insertion_runs_over_the_sockets_from_program_start_to_program_stop():
     async def story():
         async with bench(device="abb_rapid") as cell:
+            cell.cabinet.cycle = "once"
             state = await cell.insert()
             assert state.phase is Phase.INSERTED, state.reason
+            assert cell.cabinet.cycle == "forever", "its servers begin anew after a lost connection"
             assert state.attempt == 2
             assert cell.runner.farewell.startswith("controller confirms")
             assert not cell.cabinet.running
