@@ -153,7 +153,7 @@ class Gripper(Protocol):
 
     @abstractmethod
     async def close(self) -> None:
-        """Leave the fingers in place and release the connection."""
+        """Leave the fingers in place and release the connection; half a minute without an end is a failure."""
 
     def checks(self) -> dict[str, Check]:
         """The checks of a gripper that is not started, by the names printed with their findings."""

@@ -29,7 +29,7 @@ from robot_client.session.commission.taught import CELL, teach
 from robot_client.session.commission.wiring import SIDES
 from robot_client.session.cycle import CycleSettings, is_empty
 from robot_client.session.recorder import Recorder, check_takes_files
-from robot_client.session.runner import Runner, to_the_end
+from robot_client.session.runner import Runner, close_gripper, closed_after
 from robot_client.session.stops import StopWatch
 from robot_client.settings import Settings, SettingsError, Task
 from service.contract import wire
@@ -48,6 +48,11 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
     taught = settings.cycle
     if taught is None:
         raise SettingsError("commission: the configuration lacks the table [cycle] with pick and open_mm")
+    if not taught.regrasp:
+        raise SettingsError(
+            "cycle.regrasp = false: a commissioning puts the object back into its fixture, which must not fill up"
+            " again: stop the feeder, and set cycle.regrasp = true for that time"
+        )
     taught.check(settings.limits)
     for x_mm, theta_deg in (*SIDES, REACH, (-REACH[0], -REACH[1])):
         make_plan(settings, x_mm, theta_deg, None, None).check()
@@ -179,11 +184,8 @@ class Probing:
                 show(f"PRESSES AT ONE GRIP ONLY: {why}")
                 kept.remove(grip_n)
                 continue
-            gripper = with_grip(self._settings, grip_n).make_gripper()
-            try:
+            async with closed_after(with_grip(self._settings, grip_n).make_gripper()) as gripper:
                 findings = [finding for read in gripper.checks().values() for finding in await read()]
-            finally:
-                await to_the_end(gripper.close())
             for finding in findings:
                 if not finding.good and finding.text.startswith(self._settings.gripper.grip_key):
                     show(f"PRESSES AT ONE GRIP ONLY: {finding.text}")
@@ -222,9 +224,9 @@ class Probing:
         await with_gripper(lambda gripper: gripper.release(self._taught.open_mm))
 
     async def leave(self, *, ends: bool = False) -> None:
-        """Release the gripper's connection if presses have kept it. ``ends``: nothing else begins anyway."""
+        """Release the gripper's connection if presses have kept it; raises DriverError, unless all ``ends`` anyway."""
         kept, self._kept = self._kept, KeptGripper(self._settings.make_gripper())
-        await to_the_end(kept.leave(), interrupted=ends)
+        await close_gripper(kept.leave(), failed=ends)
 
     async def fetch(self) -> None:
         """Put the object back into the fixture, if held, and open; the next probe regrasps it."""
@@ -262,6 +264,7 @@ async def _commission(
         record = await running.run(probes_n)
         if not record.named:
             probing.teach(record, path)
+        await probing.leave()
     except (ValueError, OSError) as error:
         record, why = running.record, reason(error)
         show(f"HOLD  {why}")

@@ -122,6 +122,8 @@ def _take_orders(pace: Pace) -> None:
             order(typed.decode(errors="replace"))
         else:
             loop.remove_reader(sys.stdin)
+            show(f"no orders are read from the terminal any more. Signals to process {os.getpid()}:")
+            show("SIGUSR1 pauses, SIGRTMIN resumes, SIGUSR2 stops after this part, SIGINT holds")
 
     signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # to read there would stop the process, and guidance with it
     if sys.stdin is not None and sys.stdin.isatty():

@@ -4,7 +4,7 @@ import asyncio
 
 from robot_client.cli.terminal import DRY_RUN, Outcome, show, stop_on_signals, warning
 from robot_client.ports import DriverError, HomingDirection
-from robot_client.session.runner import to_the_end
+from robot_client.session.runner import closed_after
 from robot_client.settings import Settings
 
 
@@ -22,19 +22,15 @@ def home(settings: Settings, *, acknowledge: bool, direction: HomingDirection, l
 
 
 async def _home(settings: Settings, *, acknowledge: bool, direction: HomingDirection) -> Outcome:
-    gripper = settings.make_gripper()
     stop_on_signals()
-    interrupted = False
-    try:
-        await gripper.connect()
-        if acknowledge:
-            await gripper.acknowledge()
-            show("gripper: fault acknowledged")
-        width_mm = await gripper.home(direction)
-        show(f"gripper: homed, width {width_mm:.1f} mm")
-    except asyncio.CancelledError:
-        interrupted = True
-        raise DriverError("operator: interrupted, the gripper goes no further") from None
-    finally:
-        await to_the_end(gripper.close(), interrupted=interrupted)
+    async with closed_after(settings.make_gripper()) as gripper:
+        try:
+            await gripper.connect()
+            if acknowledge:
+                await gripper.acknowledge()
+                show("gripper: fault acknowledged")
+            width_mm = await gripper.home(direction)
+            show(f"gripper: homed, width {width_mm:.1f} mm")
+        except asyncio.CancelledError:
+            raise DriverError("operator: interrupted, the gripper goes no further") from None
     return Outcome(True, {"live": True, "acknowledged": acknowledge, "width_mm": width_mm})

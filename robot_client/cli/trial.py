@@ -5,14 +5,14 @@ from typing import Literal
 
 from robot_client.cli.terminal import Outcome, rehearsed, show, show_steps, stop_on_signals, warning
 from robot_client.ports import DriverError, Finding
-from robot_client.session.trial.arm import UP_MM, ArmTrial
+from robot_client.session.trial.arm import ArmTrial, up_mm
 from robot_client.session.trial.gripper import try_empty, try_part
 from robot_client.settings import Settings
 
 Subject = Literal["arm", "gripper", "part"]
 _STEPS = {
     "arm": [
-        f"go up by {UP_MM:g} mm from where it stands, with no watch for touch",
+        "go up by {up_mm:g} mm from where it stands, with no watch for touch",
         "descend, and hold on the way",
         "descend again, and let the lease end: a failure",
     ],
@@ -24,9 +24,10 @@ _STEPS = {
 def try_device(settings: Settings, subject: Subject, *, live: bool) -> Outcome:
     """Done if every promise is kept; raises DriverError if the device cannot be made ready."""
     show(warning(live=live, simulated=settings.simulated))
+    steps = [step.format(up_mm=up_mm(settings.ramps, settings.lease)) for step in _STEPS[subject]]
     if not live:
-        return rehearsed("would:", _STEPS[subject])
-    show_steps("will:", _STEPS[subject])
+        return rehearsed("would:", steps)
+    show_steps("will:", steps)
     return asyncio.run(_try(settings, subject))
 
 

@@ -27,6 +27,7 @@ _CAUSES: dict[str, wire.Cause] = {
     "part_lost": "part_lost",
     "no_decision": "no_decision",
     "contradictory": "no_decision",
+    "non_finite": "no_decision",
     "refused": "refused",
     "timeout": "timeout",
     "not_seated": "not_confirmed",

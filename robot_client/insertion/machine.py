@@ -286,11 +286,11 @@ def _on_correction(state: State, message: wire.Correction, at_s: float) -> Resul
 
 
 def _on_no_decision(state: State, message: wire.NoDecision, at_s: float) -> Result:
-    """Probe the same spot again, the only motion without a guess; not for ever, and never in a miswired cell."""
+    """Probe the same spot again, the only motion without a guess; not for ever, and never where the cell is broken."""
     if state.plan.only_probes:
         return lift(state, at_s)
-    if message.reason == "contradictory":
+    if message.reason in ("contradictory", "non_finite"):
         return fail(state, "service", message.reason, message.detail)
-    if message.reason == "non_finite" or state.no_decisions >= state.plan.max_no_decisions:
+    if state.no_decisions >= state.plan.max_no_decisions:
         return fail(state, "service", "no_decision", f"{message.reason}: {message.detail}")
     return retract(replace(state, no_decisions=state.no_decisions + 1), 0.0, 0.0, at_s)

@@ -21,8 +21,9 @@ from service.contract.frames import Contract
 
 PATIENCE_S = 0.1
 OPEN_MM = 1.0  # tolerance of the taught width
-# After these the object is held, nothing is broken, and the arm may carry it away; after all others it holds.
-REJECTED = ("client: attempts:", "service: no_decision:", "service: refused:")
+# After these the fault is the part's, nothing is broken, and the arm may carry it away; after all others it holds.
+_THE_PARTS = ("turned_in_hand", "nothing_held", "implausible_width")
+REJECTED = ("client: attempts:", "service: no_decision:", *(f"service: refused: {reason}:" for reason in _THE_PARTS))
 
 
 class CycleSettings(Contract):

@@ -106,6 +106,7 @@ def read_log(path: Path) -> tuple[Plan, list[Event | Command], dict[str, Any]]:
     for number, line in _lines(path):
         try:
             if "plan" in line:
+                _check_version(path, line.get("version"))
                 plan = Plan.model_validate_json(json.dumps(line["plan"]))
             elif "event" in line:
                 entries.append(EVENT.validate_python(line["event"], strict=False))
@@ -120,6 +121,12 @@ def read_log(path: Path) -> tuple[Plan, list[Event | Command], dict[str, Any]]:
     if plan is None:
         raise ContractError(f"{path} has no plan in its first line; is it an episode log?")
     return plan, entries, end
+
+
+def _check_version(path: Path, version: object) -> None:
+    if version != LOG_VERSION:
+        which = f"{path} is an episode log of version {version!r}, expected {LOG_VERSION}"
+        raise ContractError(f"{which}: replay it with the release that wrote it")
 
 
 def _lines(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import time
 from collections import deque
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -89,6 +89,32 @@ async def close_arm(arm: Arm, show: Callable[[str], None]) -> None:
     show(farewell)
     if farewell.startswith(NOT_CONFIRMED):
         raise DriverError(f"robot: {farewell}")
+
+
+async def close_gripper(closing: Coroutine[Any, Any, None], *, failed: bool = False) -> None:
+    """Carry out the ``closing`` of a gripper to its end; raises DriverError if it breaks, or hangs for CLOSING_S.
+
+    Where something has ``failed`` before, neither that nor an interrupt hides it.
+    """
+    try:
+        await to_the_end(asyncio.wait_for(closing, CLOSING_S), interrupted=failed)
+    except TimeoutError:
+        if not failed:
+            raise DriverError(f"gripper: its driver has not closed within {CLOSING_S:g} s") from None
+    except Exception as error:
+        if not failed:
+            raise DriverError(f"gripper: its driver broke as it closed: {reason(error)}") from None
+
+
+@contextlib.asynccontextmanager
+async def closed_after(gripper: Gripper) -> AsyncIterator[Gripper]:
+    """The gripper for a while; then it is closed, see :func:`close_gripper`."""
+    failed = True
+    try:
+        yield gripper
+        failed = False
+    finally:
+        await close_gripper(gripper.close(), failed=failed)
 
 
 @dataclass(slots=True)

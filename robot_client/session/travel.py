@@ -10,7 +10,7 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, Limits, Motion, check_arrived, check_pose
 from robot_client.insertion.motion import Ramps, check_ramps
 from robot_client.ports import Arm, DriverError, Gripper
-from robot_client.session.runner import close_arm, to_the_end, was_cancelled
+from robot_client.session.runner import close_arm, closed_after, to_the_end, was_cancelled
 
 Way = Callable[[WorkPose], Sequence[tuple[WorkPose, Motion]]]
 """The corners from the arm's present pose, and the motion to each."""
@@ -89,17 +89,14 @@ class Errands:
 
         Raises DriverError if the gripper fails, or is interrupted: its fingers may stand half open then.
         """
-        gripper, interrupted = self.make_gripper(), False
-        try:
-            await gripper.connect()
-            return bool(await work(gripper))
-        except asyncio.CancelledError:
-            interrupted = True
-            raise DriverError(
-                "operator: interrupted while the fingers moved: look where they stand, and whether they still hold"
-            ) from None
-        finally:
-            await to_the_end(gripper.close(), interrupted=interrupted)
+        async with closed_after(self.make_gripper()) as gripper:
+            try:
+                await gripper.connect()
+                return bool(await work(gripper))
+            except asyncio.CancelledError:
+                raise DriverError(
+                    "operator: interrupted while the fingers moved: look where they stand, and whether they still hold"
+                ) from None
 
 
 def _begin_line(arm: Arm, corner: WorkPose, motion: Motion, *, begun: bool) -> None:

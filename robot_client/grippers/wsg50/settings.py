@@ -1,8 +1,8 @@
 """The WSG-50's table of the configuration: ``[gripper]``."""
 
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from robot_client.ports import DeviceSettings
 
@@ -19,8 +19,16 @@ class Settings(DeviceSettings):
     force_limit_n: float = Field(default=40.0, gt=0)
     reply_timeout_s: float = Field(default=1.0, gt=0)
     motion_timeout_s: float = Field(default=10.0, gt=0)
-    update_period_ms: int = Field(default=20, ge=10, le=200)  # two within silence_s
+    update_period_ms: int = Field(default=20, ge=10, le=200)
     silence_s: float = Field(default=0.5, gt=0, le=30)
+
+    @model_validator(mode="after")
+    def _outlasts_a_lost_update(self) -> Self:
+        least_s = 2 * self.update_period_ms / 1000
+        if not self.silence_s >= least_s:
+            why = f"two update periods, {least_s:g} s: update_period_ms = {self.update_period_ms}"
+            raise ValueError(f"silence_s = {self.silence_s:g}, expected at least {why}")
+        return self
 
     @property
     def hosts(self) -> tuple[str, ...]:

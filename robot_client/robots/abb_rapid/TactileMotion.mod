@@ -3,7 +3,8 @@ MODULE TactileMotion
     ! It moves along straight lines and stops as soon as the guard (TactileGuard.mod, a background task) raises
     ! tactileStop. The guard raises it on request and whenever the cell PC falls silent. Not a safety function.
     !
-    ! Requests end with "#":   M id x y z q1 q2 q3 q4 speed#     straight to the pose (mm, mm/s) unless stopped
+    ! Requests end with "#":   M id x y z q1 q2 q3 q4 speed#     straight to the pose (mm, mm/s) unless stopped;
+    !                                                            a turn is as fast, in deg/s
     !                          Q#                                close
     ! Answers:                 D id#  done,  S id#  stopped on the way,  E id reason#  refused
 
@@ -16,7 +17,7 @@ MODULE TactileMotion
     CONST string address := "192.168.125.1";
     CONST num port := 5010;
     CONST num topSpeed := 80; ! mm/s; SearchL \Stop is meant for less than 100
-    CONST num turnSpeed := 60; ! deg/s
+    CONST num turnSpeed := 55; ! deg/s; no turn is faster
 
     VAR socketdev server;
     VAR socketdev client;
@@ -104,7 +105,10 @@ MODULE TactileMotion
         VAR speeddata v := [10, 10, 100, 100];
         VAR bool ended := FALSE;
         v.v_tcp := speed;
-        v.v_ori := turnSpeed;
+        v.v_ori := speed;
+        IF v.v_ori > turnSpeed THEN
+            v.v_ori := turnSpeed;
+        ENDIF
         tactileMoving := TRUE;
         ! Hard stop on the flag. Reaching the end without it is ERR_WHLSEARCH, here the good outcome.
         SearchL \Stop, tactileStop \HighLevel, hit, target, v, tactileTool \WObj:=tactileGap;

@@ -2,7 +2,7 @@
 
 Motion port: ``M id x y z q1 q2 q3 q4 speed#`` answered by ``D id#`` (done), ``S id#`` (stopped) or ``E id reason#``.
 Guard port: ``H n#`` alive, ``R n#`` release, ``S n#`` stop, each answered by ``P n x y z q1 q2 q3 q4 moving stop#``.
-Positions mm with 2 decimals, quaternion with 5, speed mm/s: a RAPID string holds 80 characters.
+Positions mm with 2 decimals, quaternion with 5, speed mm/s, of a turn deg/s: a RAPID string holds 80 characters.
 """
 
 import math

@@ -295,5 +295,5 @@ class SocketArm:
 
 def make(settings: Settings, limits: Limits, ramps: Ramps, frame: CellFrame) -> Arm:
     """The arm with RWS, whose RAPID task restarts itself after a lost connection."""
-    rws = settings.rws.model_copy(update={"cycle": "forever"})
-    return SocketArm(settings, limits, ramps, frame, RwsClient(rws, full_speed=True))
+    rws = RwsClient(settings.rws, full_speed=True, cycle="forever")
+    return SocketArm(settings, limits, ramps, frame, rws)

@@ -17,7 +17,7 @@ class Settings(DeviceSettings):
     motion_port: int = Field(default=5010, ge=0, le=65535)
     guard_port: int = Field(default=5011, ge=0, le=65535)
     connect_timeout_s: float = Field(default=5.0, gt=0)
-    poll_s: float = Field(default=0.02, gt=0)
+    poll_s: float = Field(default=0.02, gt=0, le=0.05)  # half of silenceLimit of TactileGuard.mod
     silence_s: float = Field(default=0.5, gt=0, le=30)
     rws: RwsSettings = RwsSettings()
 

@@ -9,7 +9,7 @@ import contextlib
 import ssl
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import httpx
 
@@ -21,6 +21,7 @@ from robot_client.robots.abb_rws.settings import RwsSettings
 from service.contract.frames import Contract
 
 GENERATIONS = (RWS1, RWS2)
+Cycle = Literal["asis", "once", "forever"]
 _START = {
     "regain": "continue",
     "execmode": "continue",
@@ -42,11 +43,13 @@ class ControllerStatus(Contract):
 class RwsClient:
     """One controller; create it inside the event loop that uses it.
 
-    ``full_speed``: whether its program moves only as fast as ordered where the speed ratio is 100 %.
+    ``full_speed``: whether its program moves only as fast as ordered where the speed ratio is 100 %. ``cycle``: whether
+    it begins anew at its end.
     """
 
-    def __init__(self, settings: RwsSettings, *, full_speed: bool = False) -> None:
+    def __init__(self, settings: RwsSettings, *, full_speed: bool = False, cycle: Cycle = "asis") -> None:
         self.settings = settings
+        self.cycle: Cycle = cycle
         self.full_speed = full_speed
         self.started = False
         self._generation: Generation | None = None
@@ -112,7 +115,7 @@ class RwsClient:
         # Continued where it was stopped, the program would first take a jogged arm back there.
         await self._order("to_main", {})
         self.started = True  # from here on we have to stop the program, whatever the answer
-        await self._order("start", {**_START, "cycle": self.settings.cycle})
+        await self._order("start", {**_START, "cycle": self.cycle})
         await self._until("ctrlexecstate", "running", self.settings.start_timeout_s, "; look at the pendant")
 
     async def stop_program(self) -> str:

@@ -2,7 +2,6 @@
 
 import ssl
 from pathlib import Path
-from typing import Literal
 from urllib.parse import urlsplit
 
 import httpx
@@ -31,7 +30,6 @@ class RwsSettings(Contract):
     stop_timeout_s: float = Field(default=3.0, gt=0)
     poll_s: float = Field(default=0.05, gt=0)
     switch_motors_on: bool = True
-    cycle: Literal["asis", "once", "forever"] = "asis"
 
     @field_validator("url")
     @classmethod

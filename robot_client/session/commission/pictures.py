@@ -33,6 +33,8 @@ async def picture_of(service: ServiceSettings, insertion_id: str, caption: str) 
     try:
         async with asking as http:
             return svg(caption, [panel async for panel in _panels(http, insertion_id)])
+    except DriverError:
+        raise
     except httpx.HTTPError as error:
         why = f"{type(error).__name__} {error}"
     except _ANSWERS as error:
@@ -54,8 +56,11 @@ async def _recorded(http: httpx.AsyncClient, insertion_id: str) -> str:
     until_s = time.monotonic() + WAIT_S
     while True:
         listed = (await _got(http, "recordings", insertion_id=insertion_id))["recordings"]
-        if listed or time.monotonic() > until_s:
+        if listed:
             return str(listed[0]["name"])
+        if time.monotonic() > until_s:
+            why = f"nothing of it was recorded within {WAIT_S:g} s; GET /readyz of the service says why"
+            raise DriverError(f"service: no picture of {insertion_id}: {why}")
         await asyncio.sleep(LOOK_S)
 
 

@@ -14,12 +14,19 @@ from robot_client.insertion.state import Timeouts
 from robot_client.ports import NOT_CONFIRMED, Arm, DriverError, Finding
 from robot_client.session.runner import close_arm, to_the_end
 
-UP_MM = 15.0
+LEAST_UP_MM = 15.0
 REST_MM = 0.05  # an arm that stands moves no further than this
 _DESCENT_S = 0.5
 _REST_S = 0.3
 _SAMPLE_S = 0.002
 _LEAST_POSES = 5  # on its way up; an arm that reports its way reports many more
+_SPARE = 1.2  # of the room for both descents: a busy machine holds late
+
+
+def up_mm(ramps: Ramps, lease: Lease) -> float:
+    """How far it goes up: it must arrive neither before its hold nor before the end of its lease."""
+    longest_s = 2.0 * (_DESCENT_S + lease.stop_lag_s)
+    return max(LEAST_UP_MM, _SPARE * ramps.descend.speed_mm_s * longest_s)
 
 
 @dataclass(slots=True)
@@ -38,7 +45,8 @@ class ArmTrial:
         try:
             self._holds_before_its_start(show)
             start = await self.arm.start(self._events.put_nowait)
-            top = check_pose(self.limits, start.at_height(start.z_mm + UP_MM), f"{UP_MM:g} mm higher")
+            higher_mm = up_mm(self.ramps, self.lease)
+            top = check_pose(self.limits, start.at_height(start.z_mm + higher_mm), f"{higher_mm:g} mm higher")
             try:
                 show(await self._arrives(top))
                 show(await self._stands_after_a_hold(start))

@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable
 
 from robot_client.insertion.events import Event, Failure, Grasped, PartLost, Width
 from robot_client.ports import DriverError, Finding, Gripper
-from robot_client.session.runner import to_the_end
+from robot_client.session.runner import closed_after
 
 MOVED_MM = 1.0  # fingers that have moved report more, fingers that have not report less
 ALONE_S = 1.0  # by then a gripper that lets go without a client has begun to
@@ -55,22 +55,17 @@ async def try_part(make: Make, grasping_s: float, show: Show, ask: Callable[[str
 
 @contextlib.asynccontextmanager
 async def _connected(make: Make) -> AsyncIterator[Gripper]:
-    gripper = make()
-    try:
+    async with closed_after(make()) as gripper:
         await gripper.connect()
         yield gripper
-    finally:
-        await to_the_end(gripper.close())
 
 
 @contextlib.asynccontextmanager
 async def _watching(make: Make) -> AsyncIterator[tuple[Gripper, asyncio.Queue[Event]]]:
-    gripper, events = make(), asyncio.Queue[Event]()
-    try:
+    events = asyncio.Queue[Event]()
+    async with closed_after(make()) as gripper:
         await gripper.start(events.put_nowait)
         yield gripper, events
-    finally:
-        await to_the_end(gripper.close())
 
 
 async def _open_mm(make: Make) -> float:

@@ -1,18 +1,13 @@
-"""`cycle` as an operator starts it: what it prints where something goes wrong, and its orders from the terminal."""
+"""`cycle` as an operator starts it: what it prints where something goes wrong."""
 
 import asyncio
-import os
-import pty
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from robot_client.cli.commission import Probing
-from robot_client.cli.cycle import _cycle, _take_orders
+from robot_client.cli.cycle import _cycle
 from robot_client.cli.insert import _insert, make_plan
 from robot_client.cli.main import main
 from robot_client.cli.terminal import printed
@@ -20,7 +15,7 @@ from robot_client.grippers.dry_run.driver import DryGripper
 from robot_client.insertion.state import Phase, State
 from robot_client.ports import DriverError
 from robot_client.session.afresh import Fixture
-from robot_client.session.cycle import CycleSettings, Pace
+from robot_client.session.cycle import CycleSettings
 from robot_client.session.recorder import Recorder
 from robot_client.session.runner import Runner
 from robot_client.settings import load_settings
@@ -28,91 +23,6 @@ from service.contract import wire
 from tests.robot_client.cycle_cell import PICK, cell_with, run, turned
 
 TAUGHT = "[cycle]\nopen_mm = 80\n[cycle.pick]\nx_mm = 0\ny_mm = 0\nz_mm = 45\nyaw_deg = 0\n"
-SHELL = """
-import fcntl, subprocess, sys, termios, time
-fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-subprocess.Popen([sys.executable, "-c", sys.argv[1]], process_group=0)
-time.sleep(30.0)
-"""
-IN_THE_BACKGROUND = """
-import asyncio
-from robot_client.cli.cycle import _take_orders
-from robot_client.session.cycle import Pace
-async def story():
-    _take_orders(Pace())
-    for _ in range(200):
-        print("goes on", flush=True)
-        await asyncio.sleep(0.05)
-asyncio.run(story())
-"""
-
-
-def heard(master, words, times_n=1):
-    """What a terminal prints until it has said so."""
-    printed = b""
-    while printed.count(words) < times_n:
-        printed += os.read(master, 4096)
-    return printed
-
-
-def test_in_the_background_of_a_shell_in_which_somebody_types_it_goes_on():
-    master, slave = pty.openpty()
-    arguments = [sys.executable, "-c", SHELL, IN_THE_BACKGROUND]
-    with subprocess.Popen(arguments, stdin=slave, stdout=slave, stderr=slave, start_new_session=True) as shell:
-        os.close(slave)
-        heard(master, b"goes on")
-        os.write(master, b"ls\n")
-        assert b"Traceback" not in heard(master, b"goes on", 8)
-        shell.kill()
-    os.close(master)
-
-
-TYPED = """
-import asyncio
-from robot_client.cli.cycle import _take_orders
-from robot_client.session.cycle import Pace
-async def story():
-    pace = Pace()
-    _take_orders(pace)
-    print("ready", flush=True)
-    while not pace.ending:
-        await asyncio.sleep(0.05)
-    print("ended", flush=True)
-asyncio.run(story())
-"""
-
-
-def test_a_half_typed_order_does_not_keep_the_event_loop_from_guiding_the_arm():
-    master, slave = pty.openpty()
-    with subprocess.Popen([sys.executable, "-c", TYPED], stdin=slave, stdout=slave, stderr=slave) as client:
-        os.close(slave)
-        heard(master, b"ready")
-        os.write(master, b"pa\x04")
-        heard(master, b"expected pause, resume or stop")
-        os.write(master, b"stop\n")
-        heard(master, b"ended")
-        assert client.wait(60) == 0
-    os.close(master)
-
-
-def test_a_pause_that_is_sent_twice_does_not_resume(capsys):
-    async def story():
-        pace, states = Pace(), []
-        _take_orders(pace)
-        for number in (signal.SIGUSR1, signal.SIGUSR1, signal.SIGRTMIN, signal.SIGRTMIN, signal.SIGUSR2):
-            os.kill(os.getpid(), number)
-            await asyncio.sleep(0.05)
-            states.append((pace.paused, pace.ending))
-        return states
-
-    before = signal.getsignal(signal.SIGTTIN)
-    try:
-        states = asyncio.run(story())
-    finally:
-        signal.signal(signal.SIGTTIN, before)
-    printed()
-    assert states == [(True, False), (True, False), (False, False), (False, False), (False, True)]
-    assert capsys.readouterr().out.splitlines()[-1] == "stopping after this part"
 
 
 def test_a_part_that_is_not_there_is_named_with_the_controllers_answer_and_a_lost_log(tmp_path, capsys, monkeypatch):
@@ -261,6 +171,18 @@ def test_nothing_is_picked_for_a_plan_that_would_be_refused(command, mode, toml,
     out = ["--out", str(tmp_path / "record")] if command == "commission" else []
     assert main([command, mode, "--config", str(path), *out]) == 2
     assert expect in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("mode", [["--live"], []])
+def test_nothing_is_commissioned_at_a_fixture_that_fills_up_again(mode, tmp_path, capsys):
+    """Each probe puts the object back there, where the feeder has put another one."""
+    (tmp_path / "cell.toml").write_text(TAUGHT.replace("[cycle]\n", "[cycle]\nregrasp = false\n"))
+    paths = ["--config", str(tmp_path / "cell.toml"), "--out", str(tmp_path / "record")]
+    assert main(["commission", *mode, *paths, "--gripper", "127.0.0.1:9", "--rws-url", "http://127.0.0.1:9"]) == 2
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err.count("\n")) == ("", 1)
+    assert "stop the feeder" in shown.err
+    assert "cycle.regrasp = true" in shown.err
 
 
 @pytest.mark.parametrize("command", [["cycle", "--uncommissioned", "--logs"], ["commission", "--out"]])

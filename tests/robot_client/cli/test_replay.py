@@ -5,7 +5,7 @@ import json
 import pytest
 
 from robot_client.__main__ import main
-from robot_client.session.recorder import read_log
+from robot_client.session.recorder import LOG_VERSION, read_log
 from robot_client.session.replay import ReplayError, replay
 from service.contract import ContractError
 
@@ -47,6 +47,27 @@ def test_a_log_that_was_cut_in_the_middle_of_a_line_still_reads(rehearsed, tmp_p
     assert plan.gap_width_mm == 56.0
     assert entries
     assert end == {}
+
+
+@pytest.mark.parametrize(
+    ("version", "named"),
+    [
+        (LOG_VERSION - 1, f"version {LOG_VERSION - 1}"),
+        (LOG_VERSION + 1, f"version {LOG_VERSION + 1}"),
+        ("2", "version '2'"),
+    ],
+)
+def test_a_log_of_another_version_is_refused_as_that(version, named, rehearsed, tmp_path):
+    """Also where its plan could not be read any more."""
+    first, *others = rehearsed.read_text().splitlines()
+    for plan in (json.loads(first)["plan"], {"from": "another version"}):
+        path = tmp_path / "other.jsonl"
+        path.write_text("\n".join([json.dumps({"version": version, "plan": plan}), *others]))
+        with pytest.raises(ContractError, match=f"is an episode log of {named}, expected {LOG_VERSION}"):
+            read_log(path)
+    path.write_text("\n".join([json.dumps({"plan": plan}), *others]))
+    with pytest.raises(ContractError, match=f"of version None, expected {LOG_VERSION}"):
+        read_log(path)
 
 
 @pytest.mark.parametrize("end", ["3", "[]", '{"phase": "inserted", "link": 3}'])

@@ -78,6 +78,7 @@ def test_the_program_is_stopped_where_the_arm_or_the_operator_says_so_or_the_arm
         ("arm", "unwatched", "unwatched"),
         ("client", "attempts", "attempts"),
         ("service", "contradictory", "no_decision"),
+        ("service", "non_finite", "no_decision"),
         ("service", "not_seen", "not_confirmed"),
         ("service", "afresh", "not_confirmed"),
         ("service", "link", "link"),

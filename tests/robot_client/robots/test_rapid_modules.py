@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 
 import robot_client.robots
+from robot_client.insertion.motion import TURN_DEG_S
 from robot_client.robots.abb_rapid.settings import Settings
+from simulation.cell.emulators.abb import rapid
 
 MODULES = sorted(Path(robot_client.robots.__file__).parent.glob("*/*.mod"))
 WORDS = (
@@ -52,6 +54,14 @@ def test_the_modules_listen_where_the_client_looks_for_them():
     for name, port in (("TactileMotion", ours.motion_port), ("TactileGuard", ours.guard_port)):
         listens = constant(modules[name], "address"), int(constant(modules[name], "port"))
         assert listens == (ours.host, port) == (ours.rws.host, port)
+
+
+def test_the_emulated_module_is_as_fast_as_the_true_one_whose_turns_no_ramp_exceeds():
+    (path,) = (path for path in MODULES if path.stem == "TactileMotion")
+    assert float(constant(path, "topSpeed")) == rapid.TOP_SPEED_MM_S
+    assert float(constant(path, "turnSpeed")) == rapid.TURN_DEG_S == TURN_DEG_S
+    limited = re.search(r"v\.v_ori := (\w+); IF v\.v_ori > (\w+) THEN v\.v_ori := (\w+); ENDIF", " ".join(code(path)))
+    assert limited.groups() == ("speed", "turnSpeed", "turnSpeed")
 
 
 def test_guidance_begins_at_a_fine_point_to_which_a_motion_led_that_goes_nowhere():

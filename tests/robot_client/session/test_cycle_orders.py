@@ -6,12 +6,58 @@ from types import SimpleNamespace
 import pytest
 
 from robot_client.insertion.geometry import WorkPose
-from robot_client.insertion.state import Phase
+from robot_client.insertion.state import Phase, State
 from robot_client.ports import DriverError
 from robot_client.session.cycle import Cycle, CycleHeldError, CycleSettings
 from robot_client.session.handshake import Handshake, HandshakeSettings
+from tests.robot_client.insertion.stories import PLAN
 
 TAUGHT = CycleSettings(pick=WorkPose(x_mm=0.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0), open_mm=80.0)
+
+
+@pytest.mark.parametrize(
+    ("reason", "carried"),
+    [
+        ("client: attempts: the last attempt, number 15, was blocked", True),
+        ("service: no_decision: low_confidence: d", True),
+        ("service: refused: turned_in_hand: by 1.4 deg", True),
+        ("service: refused: nothing_held: d", True),
+        ("service: refused: implausible_width: d", True),
+        ("service: refused: no_reference: no frame pair arrived", False),
+        ("service: refused: untrained: gap_width_mm is 56", False),
+        ("service: non_finite: the networks failed", False),
+        ("service: contradictory: d", False),
+        ("arm: tracking: d", False),
+    ],
+)
+async def test_a_part_is_carried_away_only_where_the_fault_is_its_own(reason, carried):
+    ways, reject = [], WorkPose(x_mm=20.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0)
+
+    async def go(way):
+        ways.append(way)
+
+    async def with_gripper(work):
+        return await work(SimpleNamespace(held=False, release=release, width_mm=width_mm, finds_nothing=finds_nothing))
+
+    async def release(width_mm):
+        return width_mm
+
+    async def width_mm():
+        return TAUGHT.open_mm
+
+    async def finds_nothing():
+        return False
+
+    async def insert(_number):
+        if cycle.count.rejected_n:
+            return State(PLAN, phase=Phase.FAILED, reason="operator: stop: d")
+        return State(PLAN, phase=Phase.FAILED, reason=reason)
+
+    errands = SimpleNamespace(go=go, with_gripper=with_gripper, clear_mm=35.0)
+    cycle = Cycle(TAUGHT.model_copy(update={"reject": reject}), errands, insert, lambda _text: None)
+    with pytest.raises(CycleHeldError):
+        await cycle.run(None)
+    assert (cycle.count.rejected_n, len(ways)) == ((1, 4) if carried else (0, 1))
 
 
 class Signals:

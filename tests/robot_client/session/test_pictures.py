@@ -103,7 +103,10 @@ def test_an_arrow_is_as_long_as_the_motion_and_one_that_slips_has_a_square():
     assert re.findall(r' d="([^"]*)"', text) == ["M5.0 6.0l4.0 -8.0", "M7.0 8.0m-2 -2h4v4h-4zm2 2l2.0 0.0"]
 
 
-@pytest.mark.parametrize(("insertion_id", "why"), [("nowhere", "answers without"), ("../x", "HTTPStatusError")])
+NOTHING = r"nothing of it was recorded within 0.3 s; GET /readyz of the service says why"
+
+
+@pytest.mark.parametrize(("insertion_id", "why"), [("nowhere", NOTHING), ("../x", "HTTPStatusError")])
 def test_a_recording_that_is_not_there_is_named(live: LiveService, monkeypatch, insertion_id, why):
     monkeypatch.setattr(pictures, "WAIT_S", 0.3)
     with pytest.raises(DriverError, match=f"service: no picture of {insertion_id}: {why}"):

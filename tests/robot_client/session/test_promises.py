@@ -136,6 +136,13 @@ def test_the_shipped_arms_keep_every_promise(device):
     ]
 
 
+def test_an_arm_that_descends_fast_has_room_for_both_descents():
+    """Not accused of an arrival where its hold, or the end of its lease, was to be tried."""
+    fast = {"speed_mm_s": 25.0, "acceleration_mm_s2": 400.0, "jerk_mm_s3": 8000.0}
+    settings = {"ramps": {"descend": fast}, "limits": {"max_descent_speed_mm_s": 25.0}}
+    assert bad(undisturbed(lambda: arm_findings(**settings))) == []
+
+
 @pytest.mark.parametrize("story", [empty_findings, part_findings])
 def test_the_shipped_gripper_keeps_every_promise(story):
     findings = undisturbed(story)

@@ -170,7 +170,7 @@ def test_an_insertion_took_as_long_as_it_took_though_the_wall_clock_was_set_in_i
 
 @pytest.mark.parametrize("reason", REJECTED)
 def test_the_page_does_not_say_that_an_arm_holds_that_may_carry_its_part_away(reason: str) -> None:
-    source, code = reason.rstrip(":").split(": ")
+    source, code, *_ = reason.rstrip(":").split(": ")
     assert ended("failed", cause_of(source, code), 3).startswith("Not inserted: ")  # type: ignore[arg-type]
     assert ended("failed", "arm", 3).startswith("Holding: ")
 

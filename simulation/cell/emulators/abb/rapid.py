@@ -21,7 +21,7 @@ from simulation.cell.emulators.abb.motion import Pose, rotated, rotation_between
 
 SILENCE_S = 0.1  # silenceLimit of TactileGuard.mod
 TOP_SPEED_MM_S = 80.0  # topSpeed and turnSpeed of TactileMotion.mod
-TURN_SPEED_RAD_S = math.radians(60.0)
+TURN_DEG_S = 55.0
 REACTION_S = 0.04  # from the flag to the brake: an assumption; the modules have not yet run on a controller
 _CYCLE_S = 0.004
 
@@ -174,10 +174,10 @@ class RapidServers:
             return
         self.moves.append(text)
         start = self.cabinet.arm.pose
-        turn = math.sqrt(sum(c * c for c in rotation_between(start.quaternion, end.quaternion)))
-        way_s = math.dist(start.position_mm, end.position_mm) / speed
+        turn_deg = math.degrees(math.hypot(*rotation_between(start.quaternion, end.quaternion)))
+        duration_s = max(math.dist(start.position_mm, end.position_mm) / speed, turn_deg / min(speed, TURN_DEG_S))
         share = max(1, self.cabinet.speed_ratio) / 100.0
-        self._travel = Travel(fields[1], start, end, max(way_s / share, turn / TURN_SPEED_RAD_S / share, _CYCLE_S))
+        self._travel = Travel(fields[1], start, end, max(duration_s / share, _CYCLE_S))
         self.cabinet.arm.hold()
         self.cabinet.arm.braking = self.stop  # raised before the start: nothing moves
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 import time
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from robot_client.insertion.events import Arrived, Failure, Standstill
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, Limits
-from robot_client.insertion.motion import Ramps
+from robot_client.insertion.motion import TURN_DEG_S, Ramp, Ramps
 from robot_client.insertion.state import Phase
 from robot_client.robots.abb_rapid.driver import SocketArm
 from robot_client.robots.abb_rapid.settings import Settings
@@ -73,6 +74,34 @@ async def test_a_move_is_released_carried_out_and_reported():
         assert event.pose.distance_mm(pose(x=8.0, z=40.0)) < 0.2
         assert event.pose.yaw_deg == pytest.approx(6.0, abs=0.1)
         assert peer.moves[0].endswith(f" {Ramps().travel.speed_mm_s:.1f}")
+
+
+@pytest.mark.parametrize("speed_mm_s", [5.0, 25.0, 80.0])
+async def test_a_turn_on_the_spot_keeps_to_its_ramp(speed_mm_s):
+    """In degrees as in millimetres, up to TURN_DEG_S; by the controller's clock."""
+    async with connected() as (peer, arm, events):
+        arm.ramps = Ramps(travel=Ramp(speed_mm_s=speed_mm_s, acceleration_mm_s2=300.0, jerk_mm_s3=5000.0))
+        turned = peer.cabinet.board = Turned(peer, peer.cabinet.board)
+        arm.move(pose(yaw=4.0), "travel")
+        assert isinstance(await soon(events), Arrived)
+        assert turned.fastest_deg_s <= min(speed_mm_s, TURN_DEG_S) * 1.001
+        if speed_mm_s < 10.0:  # the emulated controller does not ramp up: a fast turn is over too soon
+            assert turned.seconds >= arm.ramps.duration_s(pose(), pose(yaw=4.0), "travel")
+
+
+class Turned:
+    """Stands before the cabinet's faults, which are read every cycle, and measures the move under way."""
+
+    def __init__(self, peer, board):
+        self.peer, self.board, self.seconds, self.fastest_deg_s = peer, board, 0.0, 0.0
+
+    @property
+    def faults(self):
+        if self.peer.moving:
+            self.seconds += 0.004
+            turn_deg_s = math.degrees(math.hypot(*self.peer.cabinet.arm.turn_rad_s))
+            self.fastest_deg_s = max(self.fastest_deg_s, turn_deg_s)
+        return self.board.faults
 
 
 async def test_a_hold_goes_to_the_guard_at_once_and_standstill_follows():
@@ -194,8 +223,10 @@ async def test_what_the_modules_refuse_is_refused_by_their_emulation():
 def test_an_insertion_runs_over_the_sockets_from_program_start_to_program_stop():
     async def story():
         async with bench(device="abb_rapid") as cell:
+            cell.cabinet.cycle = "once"
             state = await cell.insert()
             assert state.phase is Phase.INSERTED, state.reason
+            assert cell.cabinet.cycle == "forever", "its servers begin anew after a lost connection"
             assert state.attempt == 2
             assert cell.runner.farewell.startswith("controller confirms")
             assert not cell.cabinet.running
