@@ -274,6 +274,11 @@ async def _commission(
         show(f"MISTAKE  {cause}")
     if record.late_s is not None:
         show(f"pictures and arm are late by at most {record.late_s * 1e3:.0f} ms together; `insert` reckons with that")
+    if running.stale_n:
+        show(
+            f"{running.stale_n} attempts told nothing: the arm paused in them for want of a judged frame. Fewer pause"
+            " on a PC with less to do, or with a slower [ramps.descend] speed_mm_s; insertions likewise"
+        )
     if record.done_n >= probes_n and not why:
         show(f"{record.done_n} probes done. The service's recordings hold them; to learn from them:")
         show(f"  python -m training adapt RECORDINGS --record {path} --from models/pressing/checkpoint.pt")

@@ -96,6 +96,7 @@ class Commissioning:
     grips_n: Sequence[float | None] = ()
     press_at: Callable[[float, float, bool], Awaitable[Ended]] | None = None
     picture: Callable[[str, str], Awaitable[str]] | None = None
+    stale_n: int = 0  # attempts so far in which the arm paused, and which were made again
     _began_s: float = field(default_factory=time.monotonic)
     _before_n: int = field(init=False)  # probes of earlier runs, which this one's time does not count
 
@@ -168,6 +169,7 @@ class Commissioning:
             (done,) = ended.probes
             if not done.said.startswith(STALE):
                 break
+            self.stale_n += 1
             self.show(f"{title}: nothing is learnt in this grasp: {done.said}")
         self.show(f"{title}: {in_words(done)}")
         return done
@@ -204,6 +206,7 @@ class Commissioning:
             title = f"probe {self.record.done_n + 1} of {probes_n}{self._left(probes_n)}"
             try:
                 if one.probe.said.startswith(STALE):
+                    self.stale_n += 1
                     self.show(f"{title}: nothing is learnt from this attempt: {one.probe.said}")
                 elif not problem:
                     self.check_gels(one.gels, title)

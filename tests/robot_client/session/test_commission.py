@@ -121,7 +121,7 @@ def test_a_probe_whose_pictures_came_too_late_is_repeated_in_a_new_grasp(tmp_pat
     running.show = shown.append
     record = asyncio.run(running.run(4))
     assert (len(record.signs), len(cell.probed), cell.fetched_n, record.named) == (4, 7, 7, ())
-    assert sum("nothing is learnt in this grasp: stale" in line for line in shown) == 3
+    assert sum("nothing is learnt in this grasp: stale" in line for line in shown) == running.stale_n == 3
     late = set(range(1, 100))
     record = asyncio.run(commissioning(Late(), tmp_path / "another.toml").run(4))
     assert len(record.signs) == 4

@@ -49,7 +49,7 @@ def test_an_attempt_whose_pictures_came_too_late_is_made_again_and_counts_for_no
     asyncio.run(commissioning(whole, tmp_path / "whole.toml").run(9))
     assert (record.labelled_n, len(cell.probed), cell.fetched_n) == (9, 11, 4 + 2)
     assert {(probe.x_mm, probe.theta_deg) for probe in record.probes} == set(whole.probed[4:])
-    assert sum("nothing is learnt from this attempt: stale" in line for line in shown) == 2
+    assert sum("nothing is learnt from this attempt: stale" in line for line in shown) == running.stale_n == 2
 
 
 def test_cameras_that_are_late_in_every_press_end_it(tmp_path):

@@ -14,6 +14,7 @@ from robot_client.settings import load_settings
 from tests.robot_client.insertion.stories import PLAN
 from tests.robot_client.session.test_commission import Cell
 from tests.robot_client.session.test_lateness import pressed, series_of
+from tests.robot_client.session.test_several_probes import Losing
 from tests.robot_client.session.test_wiring import answers
 
 GIVEN = """
@@ -146,3 +147,16 @@ def test_a_disk_that_takes_no_taught_file_holds_the_cell_and_leaves_the_record(t
         f"HOLD  cannot write {path.with_name(CELL)}: No space left on device"
     ]
     assert read_record(path).done_n == 8
+
+
+class Blinking(Losing, Taught):
+    """Its cameras lose frames in every probe to learn from."""
+
+
+def test_a_commissioning_tells_how_many_attempts_it_lost_and_what_loses_fewer(tmp_path, given, monkeypatch):
+    lines = []
+    monkeypatch.setattr("robot_client.cli.commission.show", lines.append)
+    ended = commissioned_by(Blinking(range(1000)), given, tmp_path / RECORD, monkeypatch, probes_n=11)
+    assert "nothing is learnt in 3 grasps in a row: stale" in ended.result["reason"]
+    assert [line.split()[0] for line in lines if "attempts told nothing" in line] == ["15"]
+    assert any("slower [ramps.descend] speed_mm_s" in line for line in lines)
