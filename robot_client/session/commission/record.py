@@ -48,7 +48,7 @@ class Record(Contract):
 
     @property
     def done_n(self) -> int:
-        """Number of probes in all, each in a grasp of its own: those to learn from, and the presses."""
+        """Number of probes in all: those to learn from, and the presses that identify the gel."""
         return self.labelled_n + len(self.presses)
 
     @property
