@@ -133,17 +133,16 @@ class RecipeConfig(AnyRun):
 
 
 @contextmanager
-def alone_in(folder: Path, *, first: bool = True) -> Iterator[None]:
-    """Keep other runs out of ``folder``, in the ``first`` process of a run; raise ContractError if one is in it."""
+def alone_in(folder: Path) -> Iterator[None]:
+    """Keep other runs out of ``folder``; raise ContractError if one is in it."""
     try:
-        lock = locked(folder) if first else None
+        lock = locked(folder)
     except BlockingIOError as error:
         raise ContractError(f"{folder}: another process is training there; expected another name") from error
     try:
         yield
     finally:
-        if lock:
-            lock.close()
+        lock.close()
 
 
 def refuse_another(folder: Path, config: Contract) -> None:

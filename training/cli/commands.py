@@ -1,6 +1,5 @@
 """Train and evaluate networks: ``python -m training train training/configs/compact.toml``."""
 
-import os
 import sys
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -20,8 +19,6 @@ def train(
 ) -> None:
     """Train one run from its TOML file; started again, it resumes.
 
-    In several processes: ``torchrun --standalone --nproc-per-node 2 -m training train CONFIG``.
-
     Args:
         config: the run's TOML file, see training/configs/.
         data: dataset folder, instead of the one in the config.
@@ -35,10 +32,8 @@ def train(
         loaded = loaded.model_copy(update={"device": device})
     if data is not None:
         loaded = loaded.model_copy(update={"data": loaded.data.model_copy(update={"path": str(data)})})
-    figures = run(loaded).figures
-    if int(os.environ.get("RANK", "0")) == 0:
-        print_table(figures)
-        print(f"checkpoint: {loaded.folder / 'checkpoint.pt'}")
+    print_table(run(loaded).figures)
+    print(f"checkpoint: {loaded.folder / 'checkpoint.pt'}")
 
 
 def recipe(

@@ -17,7 +17,6 @@ from torch.optim.lr_scheduler import LambdaLR
 
 from service.contract import ContractError
 from training.config import StageConfig
-from training.fit import parallel
 from training.fit.checkpoint import save_whole
 
 WARM_UP = 0.05
@@ -73,27 +72,23 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int) -> dict[str, 
     total = config.epochs * stage.batches_per_epoch
     schedule = LambdaLR(optimiser, lambda step: _rate(step, total))
     at = _resume(path, network, optimiser, schedule)
-    loss_of = parallel.averaged(network, stage.loss)
     started = time.monotonic() - 60 * at.minutes
     scalars: dict[str, float] = {}
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[note]}"), TimeRemainingColumn())
-    with Progress(*columns, disable=not parallel.first()) as progress:
+    with Progress(*columns) as progress:
         task = progress.add_task(stage.name, total=total, completed=at.epoch * stage.batches_per_epoch, note="")
         while not at.over(config):
-            rng = np.random.default_rng(parallel.seeds(seed, at.epoch))
-            torch.manual_seed(seed * 1000 + at.epoch + 7919 * parallel.rank())
-            loss = _epoch(network, stage, loss_of, optimiser, schedule, rng, lambda: progress.advance(task))
+            rng = np.random.default_rng([seed, at.epoch])
+            torch.manual_seed(seed * 1000 + at.epoch)
+            loss = _epoch(network, stage, optimiser, schedule, rng, lambda: progress.advance(task))
             scalars = {"loss": loss, **_validate(network, stage), "minutes": (time.monotonic() - started) / 60}
-            scalars = parallel.agreed(scalars)
-            if parallel.first():
-                with (folder / "log.jsonl").open("a") as log:
-                    log.write(json.dumps({"stage": stage.name, "epoch": at.epoch, **scalars}) + "\n")
+            with (folder / "log.jsonl").open("a") as log:
+                log.write(json.dumps({"stage": stage.name, "epoch": at.epoch, **scalars}) + "\n")
             progress.update(task, note=" ".join(f"{name} {value:.3f}" for name, value in scalars.items()))
             _keep_best(at, scalars, network)
             at.epoch, at.minutes = at.epoch + 1, scalars["minutes"]
-            if parallel.first():
-                _save(path, network, optimiser, schedule, at)
-    if at.minutes > config.max_minutes and at.epoch < config.epochs and parallel.first():
+            _save(path, network, optimiser, schedule, at)
+    if at.minutes > config.max_minutes and at.epoch < config.epochs:
         after = f"after {at.epoch} of {config.epochs} epochs: max_minutes = {config.max_minutes:g}"
         print(f"{stage.name}: ENDED EARLY {after}")
     if at.best_state:
@@ -104,7 +99,6 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int) -> dict[str, 
 def _epoch(
     network: nn.Module,
     stage: Stage,
-    loss_of: Callable[[Any], Tensor],
     optimiser: Optimizer,
     schedule: LambdaLR,
     rng: np.random.Generator,
@@ -113,7 +107,7 @@ def _epoch(
     network.train()
     losses = []
     for batch in stage.batches(rng):
-        loss = loss_of(batch)
+        loss = stage.loss(batch)
         if not torch.isfinite(loss):
             raise ContractError(f"stage {stage.name}: the loss is {loss.item()}, expected a finite number")
         optimiser.zero_grad(set_to_none=True)

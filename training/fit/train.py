@@ -24,7 +24,6 @@ from training.data.dataset import SPLITS, Source, Trials
 from training.data.labels import CLASSES
 from training.data.pressed import Pressed
 from training.data.reading import Samples, decisions, epoch, load, refuse_useless
-from training.fit import parallel
 from training.fit.checkpoint import Checkpoint
 from training.fit.device import on_device
 from training.fit.expectations import of_errors
@@ -158,25 +157,20 @@ class Trainer:
 
 
 def train(config: RunConfig, source: Source | None = None) -> Checkpoint:
-    """Run all stages, resuming a killed run, and save ``<runs>/<name>/checkpoint.pt``.
-
-    Under torchrun every process takes an equal share of the trials; the first one writes.
-    """
+    """Run all stages, resuming a killed run, and save ``<runs>/<name>/checkpoint.pt``."""
     if not issubclass(network_class(config.network.kind), Decider):
         raise ContractError(f"network.kind is {config.network.kind}, which `python -m training recipe` trains")
     device = on_device(config)
     torch.manual_seed(config.seed)
     folder = config.folder
     folder.mkdir(parents=True, exist_ok=True)
-    with parallel.group():
-        with parallel.first_goes_first():
-            refuse_another(folder, config)
-            trials = load(config.data, config.network.kind, source)
-            refuse_useless(trials)
-            grounds = trials.sha256 + (_start(config, trials.sensor).weights_sha256() if config.start_from else "")
-            pin(folder, config, grounds)  # only now: a mistyped data folder must not claim the run's
-        with alone_in(folder, first=parallel.first()):
-            return _train(_prepare(config, trials, device), folder)
+    refuse_another(folder, config)
+    trials = load(config.data, config.network.kind, source)
+    refuse_useless(trials)
+    grounds = trials.sha256 + (_start(config, trials.sensor).weights_sha256() if config.start_from else "")
+    pin(folder, config, grounds)  # only now: a mistyped data folder must not claim the run's
+    with alone_in(folder):
+        return _train(_prepare(config, trials, device), folder)
 
 
 def _train(trainer: Trainer, folder: Path) -> Checkpoint:
@@ -186,8 +180,7 @@ def _train(trainer: Trainer, folder: Path) -> Checkpoint:
             raise ContractError(f"stage {stage.name} needs rendered {split} trials; see data.rendered_*")
     for stage in stages:
         scalars = fit(trainer.network, stage, folder, trainer.config.seed)
-        if parallel.first():
-            print(stage.name, {name: round(value, 4) for name, value in scalars.items()})
+        print(stage.name, {name: round(value, 4) for name, value in scalars.items()})
     return _finish(trainer, folder)
 
 
@@ -215,7 +208,7 @@ def _set_scales(network: Decider, trials: Samples) -> None:
 
 def _stages(trainer: Trainer) -> list[Stage]:
     config, trials, network = trainer.config, trainer.trials, trainer.network
-    everything, drawn = parallel.share(trials.of("train")), parallel.share(trials.of("train", rendered=True))
+    everything, drawn = trials.of("train"), trials.of("train", rendered=True)
     held, held_drawn = trials.of("validation"), trials.of("validation", rendered=True)
     heads = (network.direction, network.magnitude, network.density)
     decision = [*network.trunk.parameters(), *(p for head in heads for p in head.parameters())]
@@ -279,8 +272,7 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
     )
     path = folder / "checkpoint.pt"
     checkpoint = checkpoint.known_from(path)
-    if parallel.first():
-        checkpoint.save(path)
+    checkpoint.save(path)
     return checkpoint
 
 
