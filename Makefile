@@ -20,7 +20,7 @@ RUN = $(RUN_VENV)/bin/python
 
 .DEFAULT_GOAL := help
 .PHONY: help run demo trust-live lint test compiled test-all test-lowest hard-cases mutants accuracy slip-report pace bench bench-serving peers bench-hostile soak collect train pressing transfer export evaluate trust drawn-worlds commissioning identify requirements docs clean
-.PHONY: image up up-sim down verify-images bundle sbom lint-ops
+.PHONY: image up up-sim down robot verify-images bundle sbom lint-ops
 
 help: ## list the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 16
@@ -243,8 +243,11 @@ up: $(OPS_VENV)/ready ## start the service of a real cell (CELL=cell-a reads doc
 up-sim: $(OPS_VENV)/ready ## start the simulated cell and the service in containers and insert one object
 	COMPOSE="$(COMPOSE) $(COMPOSE_FILE_ARGS)" sh docker/up_sim.sh
 
-down: $(OPS_VENV)/ready ## stop and remove the containers of CELL; recordings stay
-	$(COMPOSE) $(COMPOSE_FILE_ARGS) --profile live --profile robot --profile sim --profile monitoring down
+down: $(OPS_VENV)/ready ## stop and remove the containers of CELL; recordings stay, monitoring only without MONITORING=1
+	$(COMPOSE) $(COMPOSE_FILE_ARGS) --profile live --profile robot --profile sim $(if $(MONITORING),--profile monitoring) down
+
+robot: $(OPS_VENV)/ready ## run the robot client of CELL once (ARGS='check --config /etc/tactile/cell.toml')
+	$(COMPOSE) --env-file $(ENV_FILE) $(COMPOSE_FILE_ARGS) --profile robot run --rm robot-client $(ARGS)
 
 verify-images: $(OPS_VENV)/ready bundle ## build images and bundle, run the loop in them, kill the service during an insertion, print sizes and times
 	PATH="$(CURDIR)/$(OPS_VENV)/bin:$$PATH" $(PYTHON) -m tests.docker.verify_images --outside "$(CURDIR)/$(RUN)" --bundle "$(CURDIR)/$$(ls -t dist/*.tar | head -n 1)"

@@ -1,6 +1,7 @@
 """Disk space of recordings: one limit, kept by removing the oldest, and a check for room."""
 
 import contextlib
+import json
 import os
 import shutil
 from pathlib import Path
@@ -45,9 +46,10 @@ def make_room(root: Path, max_bytes: int) -> str:
 def prune(root: Path, max_bytes: int) -> list[Path]:
     """Remove the oldest insertions until the rest fits into ``max_bytes``; the newest always stays. Returns them.
 
-    Those of which a full disk took nothing go, too: but the newest, which may be under way. Folders that are not named
-    like a recording are neither removed nor counted. Raises OSError at the end if one of another user, say, has stayed:
-    the limit is not kept then.
+    Of the probes of commissionings, the newest stay that fill half of it: what a cell learns from would else be gone
+    after a day of work. Those of which a full disk took nothing go, too: but the newest, which may be under way.
+    Folders that are not named like a recording are neither removed nor counted. Raises OSError at the end if one of
+    another user, say, has stayed: the limit is not kept then.
     """
     entries = root.iterdir() if root.is_dir() else ()
     folders = sorted(path for path in entries if NAME.fullmatch(path.name) and path.is_dir())
@@ -55,8 +57,9 @@ def prune(root: Path, max_bytes: int) -> list[Path]:
     removed: list[Path] = []
     errors: list[BaseException] = []
     total = sum(sizes)
+    spared = _probes(folders, sizes, max_bytes // 2) if total > max_bytes else set()
     for folder, size in zip(folders[:-1], sizes[:-1], strict=True):
-        if total <= max_bytes and size:
+        if size and (total <= max_bytes or folder in spared):
             continue
         shutil.rmtree(folder, onerror=lambda _, __, raised: errors.append(raised[1]))
         removed.append(folder)
@@ -65,6 +68,27 @@ def prune(root: Path, max_bytes: int) -> list[Path]:
         if not isinstance(error, FileNotFoundError):  # that one was removed from the page meanwhile
             raise error
     return removed
+
+
+def _probes(folders: list[Path], sizes: list[int], most_bytes: int) -> set[Path]:
+    """The newest probes among ``folders``, oldest first, as long as they fit into ``most_bytes``."""
+    probes: set[Path] = set()
+    for folder, size in zip(reversed(folders), reversed(sizes), strict=True):
+        if not _is_probe(folder):
+            continue
+        most_bytes -= size
+        if most_bytes < 0:
+            break
+        probes.add(folder)
+    return probes
+
+
+def _is_probe(folder: Path) -> bool:
+    try:
+        summary = json.loads((folder / "summary.json").read_bytes())
+    except (OSError, ValueError):
+        return False
+    return isinstance(summary, dict) and summary.get("purpose") == "probe"
 
 
 def _size_bytes(folder: Path) -> int:

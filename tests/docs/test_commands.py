@@ -21,7 +21,6 @@ MAKEFILE = (ROOT / "Makefile").read_text()
 TARGETS = set(re.findall(r"^([a-z][a-z-]*):", MAKEFILE, re.MULTILINE))
 VARIABLES = set(re.findall(r"\$\(([A-Z_]+)\)|\b([A-Z_]+) \?=", MAKEFILE))
 OWN = {"service", "robot_client", "simulation", "training", "export"}
-TORCHRUN = {"--nnodes", "--rdzv-endpoint"}
 PAST = "CHANGELOG.md"  # it names options that are gone
 
 
@@ -112,7 +111,7 @@ def test_every_command_and_option_named_in_a_sentence_exists(page: Path):
     for span in spans(page):
         check(without_assignments(span.split()))
         for option in re.findall(r"(?<!\S)--[a-z][\w-]*", span):
-            assert option in all_options() | TORCHRUN, f"{page.name}: no command has the option {option}"
+            assert option in all_options(), f"{page.name}: no command has the option {option}"
 
 
 @cache
