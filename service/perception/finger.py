@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import ContractError, Finger, FrameSpec, TactileFrame
-from service.perception.identity import compared, unlike
+from service.perception.identity import cause, compared, unlike
 from service.perception.markers.liveness import Liveness
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.observation import Observation
@@ -75,10 +75,14 @@ class TactileFinger:
         self._liveness.learn_open(image)
         known = compared(self._measured, image, field)
         self.gel_distance = None if known.alike is None else 1.0 - known.alike
-        why = unlike(known, self._beside, frame.pixels)
+        why = unlike(known)
         if not why:
             self._tracker = tracker
         return why
+
+    def explain(self, frame: TactileFrame) -> str:
+        """Why a frame does not show the gel that the camera was calibrated with; takes as long as learning it."""
+        return cause(self._beside, frame.pixels)
 
     def forget_open(self) -> None:
         """What was learnt as the open gel was none: only its print can tell whether it is touched."""

@@ -56,22 +56,23 @@ def compared(measured: Measured | None, image: NDArray[np.uint8], field: MarkerF
     return Compared(alike, light_apart(measured.light, light_of(image)), found_n)
 
 
-def unlike(known: Compared, beside: CameraCalibration | None, raw: NDArray[np.uint8]) -> str:
-    """Why a raw frame does not show the calibrated gel, or "" where it may; ``beside`` is the other finger's."""
-    if known.same is not False:
-        return ""
-    cause = (
-        "it is the other finger's: the cameras are swapped, or one serves both fingers"
-        if beside is not None and shows(beside, raw)
-        else "has the camera moved, is it another gel, or does something touch or light it?"
-    )
-    return f"this is not the gel that the camera was calibrated with ({known}): {cause}"
+def unlike(known: Compared) -> str:
+    """That it is not the calibrated gel, and by how much, or "" where it may be."""
+    return f"this is not the gel that the camera was calibrated with ({known})" if known.same is False else ""
+
+
+def cause(beside: CameraCalibration | None, raw: NDArray[np.uint8]) -> str:
+    """Why a raw frame may not show the calibrated gel; ``beside`` is the other finger's."""
+    if beside is not None and shows(beside, raw):
+        return "it is the other finger's: the cameras are swapped, or one serves both fingers"
+    return "has the camera moved, is it another gel, or does something touch or light it?"
 
 
 def doubt(own: CameraCalibration, beside: CameraCalibration, raw: NDArray[np.uint8]) -> str:
     """Why a camera's frame does not show the open gel that it was calibrated with, or "" where it may."""
     known = _of_raw(own, raw)
-    return "" if known is None else unlike(known, beside, raw)
+    why = "" if known is None else unlike(known)
+    return f"{why}: {cause(beside, raw)}" if why else ""
 
 
 def shows(camera: CameraCalibration, raw: NDArray[np.uint8]) -> bool:

@@ -72,6 +72,9 @@ class FingerWatch(Protocol):
     def learn_open(self, frame: TactileFrame) -> str:
         """Take the frame as the open gel, touched by nothing; returns why that cannot be, or ""."""
 
+    def explain(self, frame: TactileFrame) -> str:
+        """Why a frame that was refused as the open gel may not show it."""
+
     def forget_open(self) -> None:
         """What was learnt as the open gel was none."""
 

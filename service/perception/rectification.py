@@ -14,6 +14,7 @@ correct its result (:mod:`service.perception.lens`). Measurements are stored wit
 
 import math
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -62,7 +63,7 @@ class Measured:
     light: str = ""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class CameraCalibration:
     """One camera: its raw and rectified frames, and the homography (float64 [3, 3], raw to rectified).
 
@@ -96,6 +97,17 @@ class CameraCalibration:
     def projection(self) -> Projection:
         """The projection from the raw frame to the rectified one."""
         return Projection(self.homography, self.lens, self.warp)
+
+    @cached_property
+    def lookup(self) -> tuple[NDArray[np.int16], NDArray[np.uint16]]:
+        """Where each rectified pixel lies in the raw frame, for ``cv2.remap``. With a warp this takes 0.3 s, once."""
+        width, height = self.rectified.width_px, self.rectified.height_px
+        grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).astype(np.float64)
+        source = self.projection.raw(grid.reshape(-1, 2)).reshape(grid.shape)
+        limit = float(4 * max(self.raw.width_px, self.raw.height_px))
+        source = np.clip(source, -limit, limit).astype(np.float32)
+        table, fraction = cv2.convertMaps(source[..., 0], source[..., 1], cv2.CV_16SC2)
+        return np.asarray(table, np.int16), np.asarray(fraction, np.uint16)
 
     def _check_view(self, matrix: NDArray[np.float64]) -> None:
         width, height = self.rectified.width_px, self.rectified.height_px
@@ -259,12 +271,7 @@ class Rectifier:
 
     def __init__(self, camera: CameraCalibration) -> None:
         self.camera = camera
-        width, height = camera.rectified.width_px, camera.rectified.height_px
-        grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1).astype(np.float64)
-        source = camera.projection.raw(grid.reshape(-1, 2)).reshape(grid.shape)
-        limit = float(4 * max(camera.raw.width_px, camera.raw.height_px))
-        source = np.clip(source, -limit, limit).astype(np.float32)
-        self._table, self._fraction = cv2.convertMaps(source[..., 0], source[..., 1], cv2.CV_16SC2)
+        self._table, self._fraction = camera.lookup
 
     def apply(self, raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Rectified uint8 [height, width, 3] from the raw BGR frame; ContractError if that has another size."""

@@ -22,6 +22,8 @@ class OpenGels:
     _asked_ns: int | None = None
     _learnt: set[Finger] = field(default_factory=set)
     _problem: str = "no frame arrived"
+    _refused: tuple[FingerWatch, TactileFrame] | None = None
+    _tried_ns: dict[Finger, int] = field(default_factory=dict)
     _opened: bool = False
 
     @property
@@ -53,18 +55,22 @@ class OpenGels:
     def ask(self, message: wire.LearnOpen, fingers: Iterable[FingerWatch], now_ns: int) -> None:
         """Learn from frames captured from now on, or forget what was learnt."""
         self._asked_ns, self._problem = None if message.forget else now_ns, "no frame arrived"
+        self._refused = None
         self._learnt.clear()
+        self._tried_ns.clear()
         self._opened = False
         for watch in fingers if message.forget else ():
             watch.forget_open()
 
     def take(self, insertion_id: str, watch: FingerWatch, frame: TactileFrame) -> list[wire.ServiceMessage]:
         """Learn from a frame; the answer once both fingers are learnt."""
-        if self._asked_ns is None or frame.captured_ns < self._asked_ns or frame.finger in self._learnt:
+        since_ns = max(self._asked_ns or 0, self._tried_ns.get(frame.finger, -1) + 1)
+        if self._asked_ns is None or frame.captured_ns < since_ns or frame.finger in self._learnt:
             return []
+        self._tried_ns[frame.finger] = frame.captured_ns  # a frame comes alone and in its pair
         problem = watch.learn_open(frame)
         if problem:
-            self._problem = f"{frame.finger} finger: {problem}"
+            self._problem, self._refused = f"{frame.finger} finger: {problem}", (watch, frame)
             return []
         self._learnt.add(frame.finger)
         if len(self._learnt) < len(FINGERS):
@@ -78,4 +84,7 @@ class OpenGels:
             return []
         self._asked_ns = None
         detail = f"the open gels could not be learnt: {self._problem}"
+        if self._refused:  # only now: for each frame, it would keep messages waiting
+            watch, frame = self._refused
+            detail = ": ".join(filter(None, (detail, watch.explain(frame))))
         return [wire.Fault(insertion_id=insertion_id, code="open_gel", detail=detail, fatal=False)]

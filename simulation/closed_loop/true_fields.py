@@ -135,6 +135,10 @@ class TrueFieldFinger:
         self._open.learn(self._home)
         return ""
 
+    def explain(self, frame: TactileFrame) -> str:  # noqa: ARG002
+        """No gel is refused here."""
+        return ""
+
     def forget_open(self) -> None:
         """What was learnt as the open gel was none."""
         self._home, self._open = None, OpenGel()

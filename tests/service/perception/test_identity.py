@@ -84,7 +84,13 @@ def learnt(finger: Finger, shown: str, own: CameraCalibration | None = None, seq
     """What a finger says of an open gel, and how far that is from its own."""
     other = CALIBRATED["right" if finger == "left" else "left"]
     watch = TactileFinger(finger, MINI.rectified, own or CALIBRATED[finger], beside=other)
-    return watch.learn_open(TactileFrame(finger, 1, 1, CAMERAS[shown].raw(REST, seq))), watch.gel_distance
+    return refusal(watch, TactileFrame(finger, 1, 1, CAMERAS[shown].raw(REST, seq))), watch.gel_distance
+
+
+def refusal(watch: TactileFinger, frame: TactileFrame) -> str:
+    """Why the frame is not the open gel, with the cause; or ""."""
+    why = watch.learn_open(frame)
+    return f"{why}: {watch.explain(frame)}" if why else ""
 
 
 @pytest.mark.parametrize("finger", FINGERS)
@@ -111,7 +117,7 @@ def test_another_gel_of_few_markers_is_named(finger: Finger):
 
 def test_without_the_other_fingers_calibration_no_swap_is_named():
     watch = TactileFinger("left", MINI.rectified, CALIBRATED["left"])
-    why = watch.learn_open(TactileFrame("left", 1, 1, CAMERAS["right"].raw(REST, 7)))
+    why = refusal(watch, TactileFrame("left", 1, 1, CAMERAS["right"].raw(REST, 7)))
     assert why.endswith(": has the camera moved, is it another gel, or does something touch or light it?")
 
 
@@ -120,7 +126,7 @@ def test_a_session_knows_swapped_cameras():
     session = make_session(cast("ModelSet", SimpleNamespace(card=card)), Calibration(*CALIBRATED.values()))
     for finger, shown in zip(FINGERS, FINGERS[::-1], strict=True):
         watch = session.left if finger == "left" else session.right
-        why = watch.learn_open(TactileFrame(finger, 1, 1, CAMERAS[shown].raw(REST, 7)))
+        why = refusal(watch, TactileFrame(finger, 1, 1, CAMERAS[shown].raw(REST, 7)))
         assert why.endswith(SWAPPED)
 
 

@@ -23,14 +23,20 @@ class Still:
     gel_distance = None
 
     def __init__(self, finger: Finger) -> None:
-        self.sees, self.problem, self.learnt = observation(finger), "", list[int]()
+        self.sees, self.problem, self.cause = observation(finger), "", ""
+        self.learnt, self.tried, self.explained = list[int](), list[int](), list[int]()
 
     def rearm(self) -> None:
         """What it sees is its reference already."""
 
     def learn_open(self, frame: TactileFrame) -> str:
+        self.tried.append(frame.seq)
         self.learnt += [] if self.problem else [frame.seq]
         return self.problem
+
+    def explain(self, frame: TactileFrame) -> str:
+        self.explained.append(frame.seq)
+        return self.cause
 
     def forget_open(self) -> None:
         self.learnt.clear()

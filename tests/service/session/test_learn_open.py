@@ -6,13 +6,13 @@ from typing import Any
 import pytest
 from websockets.sync.client import connect
 
-from service.contract import wire
+from service.contract import TactileFrame, wire
 from service.decision.held_tilt import HeldTilt
 from service.session.state_machine import InsertionSession
 from tests.service.client import greeted
 from tests.service.conftest import LiveService, live_service
 from tests.service.decision.test_claim import PERIOD_NS
-from tests.service.session.at_rest import ID, S, arm, at_rest, descends, is_out_of_order, shows, stops
+from tests.service.session.at_rest import ID, PIXELS, S, arm, at_rest, descends, is_out_of_order, shows, stops
 from tests.service.session.driving import wait_for_recorders
 
 
@@ -64,6 +64,26 @@ def test_why_open_gels_could_not_be_learnt_is_told_and_they_may_be_asked_for_aga
     session.left.problem = ""
     learn(session, 5 * S)
     assert [answer.type for answer in shows(session, 0, 5 * S)] == ["open_learnt"]
+
+
+def test_a_gel_that_is_refused_is_tried_once_a_frame_and_its_cause_is_sought_at_the_end(
+    session: InsertionSession,
+) -> None:
+    """Both take up to a tenth of a second, in which no message is answered."""
+    right = session.right
+    learn(session, S)
+    right.problem, right.cause = "not the gel", "the cameras are swapped"
+    for seq in range(3):
+        session.on_frame(TactileFrame("right", seq, S + seq * PERIOD_NS, PIXELS), S + seq * PERIOD_NS)
+        shows(session, seq, S)
+    assert (right.tried, right.explained) == ([0, 1, 2], [])
+    (fault,) = session.on_tick(3 * S + 1)
+    assert fault.detail == "the open gels could not be learnt: right finger: not the gel: the cameras are swapped"
+    assert right.explained == [2]
+    learn(session, 4 * S)
+    shows(session, 0, S)
+    (fault,) = session.on_tick(7 * S)
+    assert fault.detail == "the open gels could not be learnt: no frame arrived"
 
 
 def test_what_turned_out_not_to_be_an_open_gel_is_forgotten_without_an_answer(session: InsertionSession) -> None:

@@ -239,8 +239,10 @@ def test_a_finger_learns_the_gel_that_it_was_calibrated_with_and_no_other(seed: 
     for finger, other in (FINGERS, FINGERS[::-1]):
         watch = TactileFinger(finger, Sensor.load().rectified, own[finger], beside=own[other])
         for shown in FINGERS:
-            why = watch.learn_open(TactileFrame(finger, 1, 1, cameras[shown].raw(REST, 7)))
-            assert ("swapped" in why) == (shown != finger), why
+            frame = TactileFrame(finger, 1, 1, cameras[shown].raw(REST, 7))
+            why = watch.learn_open(frame)
+            assert bool(why) == (shown != finger), why
+            assert ("swapped" in watch.explain(frame)) == (shown != finger)
             assert watch.gel_distance is not None
             assert 0.0 <= watch.gel_distance <= 2.0
             assert (watch.gel_distance < 0.2) == (shown == finger)
