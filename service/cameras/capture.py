@@ -26,6 +26,7 @@ STALL_S = 0.5  # no frame for this long is a stall
 GLANCE_EVERY = 4  # without attention one frame in this many is decoded; the others only show that the camera lives
 MAX_BROKEN = 10  # consecutive undecodable JPEGs before the camera is reopened
 WAITING_N = 8  # frames that wait for the other finger's: 90 ms at 90 frames a second
+_SAME_CLOCK_NS = 1_000_000_000
 log = structlog.get_logger()
 
 
@@ -107,7 +108,7 @@ class Camera:
         self.latest: CameraFrame | None = None
         self.newest_ns: int | None = None
         self.frames_n = 0
-        self._broken_n = self._skipped_n = self._same_n = 0
+        self._broken_n = self._skipped_n = self._same_n = self._checked_n = self._checked_ns = 0
         self._picture: bytes | NDArray[np.uint8] = b""
         self.shape: tuple[int, ...] | None = None
         self.last_fault = ""
@@ -141,12 +142,18 @@ class Camera:
 
     def check_stall(self, now_ns: int) -> None:
         """Mark a live camera without frames as stalled; its owner calls this a few times per second."""
-        if self.state == "live" and self.newest_ns and now_ns - self.newest_ns > STALL_S * 1e9:
-            if self._same_n:
-                detail = f"the same picture {self._same_n + 1} times for {STALL_S:g} s from {self.source.name}"
-                self._fault("stalled", "camera_frozen", detail)
-            else:
-                self._fault("stalled", "camera_stalled", f"no frame for {STALL_S:g} s from {self.source.name}")
+        came_n = self.frames_n - self._checked_n
+        self._checked_n, self._checked_ns = self.frames_n, now_ns
+        if not (self.state == "live" and self.newest_ns and now_ns - self.newest_ns > STALL_S * 1e9):
+            return
+        if self._same_n:
+            detail = f"the same picture {self._same_n + 1} times for {STALL_S:g} s from {self.source.name}"
+            self._fault("stalled", "camera_frozen", detail)
+        elif came_n:
+            age_s = (now_ns - self.newest_ns) / 1e9
+            self._fault("stalled", "camera_stalled", f"pictures from {self.source.name} arrive {age_s:.1f} s late")
+        else:
+            self._fault("stalled", "camera_stalled", f"no frame for {STALL_S:g} s from {self.source.name}")
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -203,6 +210,8 @@ class Camera:
         self.newest_ns = captured_ns
         self.frames_n += 1
         self._stamps.append(captured_ns)
+        if self.state == "stalled" and self._checked_ns - captured_ns > STALL_S * 1e9:
+            return  # as old as those that were called stalled
         if self.state in {"stalled", "lost"}:
             log.info("camera", finger=self.finger, code="live_again")
         self.state = "live"
@@ -275,3 +284,9 @@ class Pairer:
 def now_ns() -> int:
     """The clock of all stamps in this process and on this machine."""
     return time.monotonic_ns()
+
+
+def capture_ns(stamp_ns: int, arrived_ns: int, *, same_clock: bool) -> int:
+    """A camera's own stamp if it can be of this machine's monotonic clock, else the frame's arrival."""
+    age_ns = arrived_ns - stamp_ns
+    return stamp_ns if age_ns >= 0 and (same_clock or age_ns <= _SAME_CLOCK_NS) else arrived_ns

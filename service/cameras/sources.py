@@ -1,8 +1,7 @@
-"""Cameras by their URL: MJPEG over HTTP, V4L2, a recording, frames pushed by a client."""
+"""Cameras by their URL: MJPEG over HTTP, a video device, a recording, frames pushed by a client."""
 
 import base64
 import http.client
-import os
 import queue
 import re
 import select
@@ -12,11 +11,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import SplitResult, unquote, urlsplit
 
-import cv2
-import numpy as np
-
-from service.cameras.capture import CameraError, Capture, Source, now_ns
+from service.cameras.capture import CameraError, Capture, Source, capture_ns, now_ns
 from service.cameras.recorded import RecordingSource
+from service.cameras.v4l2 import V4l2Source, device_of
 from service.contract import TactileFrame
 from service.contract.refusals import nearest
 from service.contract.text import split_address, without_secrets
@@ -27,7 +24,6 @@ SILENT_S = 0.2  # at 10 mm/s, pictures that are late by less take less than the 
 MAX_JPEG_BYTES = 4 << 20
 _LENGTH = re.compile(rb"(?im)^content-length:\s*(\d+)")
 _STAMP = re.compile(rb"(?im)^x-timestamp:\s*(\d+)\.(\d{1,9})\s*$")
-_SAME_CLOCK_NS = 1_000_000_000
 SCHEMES = ("http:", "v4l2:", "file:", "push:")
 
 
@@ -183,46 +179,6 @@ def header_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False)
     return capture_ns(int(stamp[1]) * 1_000_000_000 + int(stamp[2].ljust(9, b"0")), arrived_ns, same_clock=same_clock)
 
 
-def capture_ns(stamp_ns: int, arrived_ns: int, *, same_clock: bool) -> int:
-    """A camera's own stamp if it can be of this machine's monotonic clock, else the frame's arrival."""
-    age_ns = arrived_ns - stamp_ns
-    return stamp_ns if age_ns >= 0 and (same_clock or age_ns <= _SAME_CLOCK_NS) else arrived_ns
-
-
-class V4l2Source:
-    """A local video device, read through OpenCV; stamped with the driver's buffer time.
-
-    The driver stamps the beginning or end of a frame's arrival, on the monotonic clock if it states one
-    (V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC, as UVC does). A stamp of another clock is replaced by the time of reading.
-    """
-
-    def __init__(self, device: int, frame_rate_hz: float) -> None:
-        self.name = f"v4l2:{device}"
-        self._device, self._frame_rate_hz = device, frame_rate_hz
-        # a missing camera is retried four times per second, and OpenCV would warn twice each time
-        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
-
-    def frames(self, stop: threading.Event) -> Iterator[Capture]:
-        capture = cv2.VideoCapture(self._device, cv2.CAP_V4L2)
-        try:
-            if not capture.isOpened():
-                raise CameraError(f"cannot open /dev/video{self._device}; is it plugged in and free?")
-            capture.set(cv2.CAP_PROP_FPS, self._frame_rate_hz)
-            capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-            same_clock = False
-            while not stop.is_set():
-                grabbed, pixels = capture.read()
-                if not grabbed:
-                    return
-                read_ns = now_ns()
-                driver_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
-                stamp_ns = capture_ns(driver_ns, read_ns, same_clock=same_clock)
-                same_clock = same_clock or stamp_ns != read_ns
-                yield Capture(stamp_ns, np.asarray(pixels, np.uint8))
-        finally:
-            capture.release()
-
-
 class PushSource:
     """Frames that a client sends to the service; the newest few are kept, stamped on arrival."""
 
@@ -266,13 +222,11 @@ def open_source(url: str, *, frame_rate_hz: float = 30.0) -> Source:
     if url.startswith("http://"):
         _check_address(url)
         return MjpegSource(url)
-    if device := re.fullmatch(r"(?:v4l2:|/dev/video)(\d+)", url):
-        return V4l2Source(int(device[1]), frame_rate_hz)
+    if device := device_of(url):
+        return V4l2Source(device, frame_rate_hz)
     if url == "push:":
         return PushSource()
     path = Path(url.removeprefix("file:"))
-    if device := re.fullmatch(r"/dev/video(\d+)", os.path.realpath(path)):  # a link in /dev/v4l/by-id
-        return V4l2Source(int(device[1]), frame_rate_hz)
     if url.startswith("file:") or (url and path.exists()):
         return RecordingSource(path)
     hint = nearest(url.split(":", maxsplit=1)[0] + ":", SCHEMES)

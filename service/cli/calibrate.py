@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.cameras.recorded import picture_in
+from service.cameras.v4l2 import serial_of
 from service.contract import FINGERS, ContractError, Finger, Sensor
 from service.contract.sensor import DEFAULT_SENSOR, EDGES
 from service.contract.text import Parser
@@ -25,7 +26,6 @@ from service.tools.calibrate import (
     rectify,
     refusal,
     remarks,
-    serial_of,
     still_image,
 )
 from service.tools.calibration_output import figures, profile_of, residual_map, save_profile
@@ -50,14 +50,20 @@ def main(arguments: Sequence[str]) -> int:
         _draw(options.pictures, finger, image, fit)
     check_two_cameras((options.camera_left, fits["left"]), (options.camera_right, fits["right"]))
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    if options.out.exists():
-        made = datetime.fromtimestamp(options.out.stat().st_mtime, UTC)
-        earlier = options.out.with_name(f"{options.out.stem}.{made:%Y%m%dT%H%M%S%f}{options.out.suffix}")
-        shutil.copy2(options.out, earlier)
+    if earlier := _kept(options.out):
         print(f"the calibration of before is kept as {earlier}: a commissioning that was made with it names its gels")
     Calibration(fits["left"].camera, fits["right"].camera).save(options.out)
     print(f"wrote {options.out}")
     return 0
+
+
+def _kept(path: Path) -> Path | None:
+    """A copy of a file that is about to be replaced, named by the time of its last change; None if there is none."""
+    if not path.exists():
+        return None
+    made = datetime.fromtimestamp(path.stat().st_mtime, UTC)
+    earlier = path.with_name(f"{path.stem}.{made:%Y%m%dT%H%M%S%f}{path.suffix}")
+    return Path(shutil.copy2(path, earlier))
 
 
 def _measure(options: argparse.Namespace) -> int:
@@ -106,6 +112,8 @@ def _new_profile(options: argparse.Namespace, image: np.ndarray, name: str) -> S
         raise CalibrationError(f"--new-profile {options.new_profile}: expected a file name that ends in .toml")
     grid = find_grid(image, name, None, options.up)
     sensor = profile_of(image, grid, options.new_profile.stem, options.pitch_mm, options.fps, Sensor.load())
+    if earlier := _kept(options.new_profile):
+        print(f"the profile of before is kept as {earlier}: what was measured in it is not in the new one")
     save_profile(sensor, options.new_profile)
     print(f"wrote {options.new_profile}; markers taken as {options.pitch_mm:g} mm apart, {options.fps} frames a second")
     return sensor

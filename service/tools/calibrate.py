@@ -11,7 +11,6 @@ from datetime import UTC, datetime
 from http.client import HTTPException
 from itertools import islice
 from math import ceil
-from pathlib import Path
 from typing import NamedTuple
 
 import cv2
@@ -171,7 +170,10 @@ def refusal(fit: Fit, sensor: Sensor) -> str | None:
             f"markers {fit.grid.pitch_px:.1f} px apart, the profile {sensor.name} has them {nominal_px:.1f} px apart in"
             " a frame of this width: is it another gel or lens (--new-profile, with --pitch-mm)?"
         )
-    return None
+    followed = fit.camera.measured is not None and bool(fit.camera.measured.fingerprint)
+    return (
+        None if followed else "the service finds no grid in the rectified picture: are the markers too faint in grey?"
+    )
 
 
 def _nominal_pitch_px(sensor: Sensor) -> float:
@@ -236,16 +238,14 @@ def fit_camera(image: NDArray[np.uint8], finger: Finger, sensor: Sensor, serial:
 def check_two_cameras(left: tuple[str, Fit], right: tuple[str, Fit]) -> None:
     """Raise CalibrationError if both fingers, (URL, fit) each, were calibrated with one camera.
 
-    Fingerprints do not decide: of two small gels they may be alike, by the bend of their lenses.
+    Fingerprints do not decide: of two small gels they may be alike, by the bend of their lenses. Nor do serial numbers:
+    some models have one for all cameras.
     """
     (left_url, left_fit), (right_url, right_fit) = left, right
     if left_url == right_url:
         raise CalibrationError(
             f"left and right are the same camera, {without_secrets(left_url)}; expected one for each finger"
         )
-    one, other = left_fit.camera.measured, right_fit.camera.measured
-    if one is not None and other is not None and one.serial and one.serial == other.serial:
-        raise CalibrationError(f"left and right are the same camera, serial {one.serial}")
     if _apart(left_fit, right_fit) < _ONE_PLACE:
         raise CalibrationError("left and right show the same gel, each marker in one place: two URLs of one camera?")
 
@@ -257,13 +257,3 @@ def _apart(one: Fit, other: Fit) -> float:
     there_px = (other.grid.raw_px + 0.5) * (size / other_size) - 0.5
     away_px = np.linalg.norm(one.grid.raw_px[:, None] - there_px, axis=-1).min(1)
     return float(np.median(away_px)) / one.grid.pitch_px
-
-
-def serial_of(url: str) -> str:
-    """Serial number of a V4L2 camera if the system reports it, else ""."""
-    kind, _, number = url.partition(":")
-    path = Path(f"/sys/class/video4linux/video{number}/device/../serial")
-    try:
-        return path.read_text(encoding="ascii").strip() if kind == "v4l2" and number.isdigit() else ""
-    except (OSError, UnicodeDecodeError):
-        return ""

@@ -12,7 +12,7 @@ import structlog
 
 from service.cameras.capture import RETRY_S, Camera, CameraError, CameraFrame, Capture, now_ns
 from service.cameras.recorded import RecordingSource
-from service.cameras.sources import MjpegSource, PushSource, V4l2Source, _Stream, open_source
+from service.cameras.sources import MjpegSource, PushSource, _Stream, open_source
 from service.contract import TactileFrame
 from tests.service.mjpeg import FakeFinger
 from tests.waiting import wait_for
@@ -166,6 +166,19 @@ def test_a_picture_that_comes_again_and_again_is_a_frozen_camera(kind: str) -> N
     assert [(line["finger"], line["code"]) for line in lines] == [("left", "live_again")], "once"
 
 
+def test_pictures_that_arrive_late_are_a_stall_that_says_so_until_they_are_fresh() -> None:
+    frames: list[CameraFrame] = []
+    faults: list[tuple[str, str]] = []
+    camera = Camera("left", PushSource(), frames.append, lambda _, code, detail: faults.append((code, detail)))
+    for frame in range(60):
+        camera._publish(Capture(1 + frame * 33_000_000, np.full((8, 9, 3), frame, np.uint8)))
+        camera.check_stall(620_000_000 + frame * 33_000_000)
+    assert faults == [("camera_stalled", "pictures from push: arrive 0.6 s late")]
+    assert (camera.state, camera.frames_n) == ("stalled", 60)
+    camera._publish(Capture(620_000_000 + 60 * 33_000_000, BLACK))
+    assert camera.state == "live"
+
+
 def test_a_stamp_that_does_not_advance_is_no_new_frame() -> None:
     frames: list[CameraFrame] = []
     camera = Camera("left", PushSource(), frames.append, lambda *_: None)
@@ -196,60 +209,6 @@ def test_a_source_that_fails_is_tried_again_four_times_a_second() -> None:
     camera.stop()
     assert faults == ["camera_lost"]
     assert all(b - a >= RETRY_S for a, b in itertools.pairwise(tries))
-
-
-class Device:
-    """OpenCV's interface to a video device, frame by frame; a test machine has none."""
-
-    def __init__(self, frames_n: int) -> None:
-        self.left_n, self.set_to, self.released = frames_n, {}, False
-
-    def isOpened(self) -> bool:
-        return True
-
-    def set(self, key: int, value: float) -> bool:
-        self.set_to[key] = value
-        return True
-
-    def get(self, key: int) -> float:
-        """The driver's stamp in ms, as `cv2.CAP_PROP_POS_MSEC` gives it: the picture waited for 80 ms."""
-        assert key == cv2.CAP_PROP_POS_MSEC
-        return self.read_ns / 1e6 - 80.0
-
-    def read(self) -> tuple[bool, np.ndarray | None]:
-        self.left_n -= 1
-        self.read_ns = now_ns()
-        return (self.left_n >= 0, np.full((4, 4, 3), self.left_n % 250, np.uint8) if self.left_n >= 0 else None)
-
-    def release(self) -> None:
-        self.released = True
-
-
-def test_a_video_device_gives_its_frames_and_is_given_back_when_unplugged(monkeypatch: pytest.MonkeyPatch) -> None:
-    device = Device(5)
-    opened: list[tuple[int, int]] = []
-    monkeypatch.setattr(cv2, "VideoCapture", lambda index, backend: opened.append((index, backend)) or device)
-    source = open_source("/dev/video2", frame_rate_hz=60.0)
-    captures = list(source.frames(threading.Event()))
-    assert (source.name, opened, len(captures)) == ("v4l2:2", [(2, cv2.CAP_V4L2)], 5)
-    assert all(a.captured_ns <= b.captured_ns for a, b in itertools.pairwise(captures))
-    assert captures[-1].captured_ns == pytest.approx(device.read_ns - 80_000_000, abs=10_000_000), (
-        "not when it was read"
-    )
-    assert device.set_to == {cv2.CAP_PROP_FPS: 60.0, cv2.CAP_PROP_BUFFERSIZE: 1}
-    assert device.released
-
-
-def test_a_link_to_a_video_device_is_that_device_and_no_recording(tmp_path: Path) -> None:
-    """As in /dev/v4l/by-id: as a recording its pictures would be stamped when they are read."""
-    (tmp_path / "usb-camera-index0").symlink_to("/dev/video63")
-    assert open_source(str(tmp_path / "usb-camera-index0")).name == "v4l2:63"
-
-
-def test_an_absent_video_device_says_so_and_opencv_says_nothing(capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(CameraError, match="cannot open /dev/video63; is it plugged in"):
-        next(V4l2Source(63, 30.0).frames(threading.Event()))
-    assert capfd.readouterr() == ("", "")
 
 
 def test_the_newest_pushed_frames_are_kept_and_one_client_pushes() -> None:

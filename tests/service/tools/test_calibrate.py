@@ -57,6 +57,16 @@ def test_a_pressed_gel_is_refused():
         fit_camera(camera.raw(pressed, 0), "left", Sensor.load())
 
 
+def test_markers_that_the_service_would_not_find_are_refused():
+    """They are visible in one colour only, in which they are fitted; a session tracks in grey."""
+    grey = cv2.cvtColor(still(renderer("left", 0)), cv2.COLOR_BGR2GRAY).astype(float)
+    image = np.full((*grey.shape, 3), 120.0)
+    image[..., 0] += (grey - grey.mean()) * 20 / np.ptp(grey)
+    image += np.random.default_rng(0).normal(0, 2, image.shape)
+    with pytest.raises(CalibrationError, match="left: the service finds no grid in the rectified picture"):
+        fit_camera(image.astype(np.uint8), "left", Sensor.load())
+
+
 def test_the_command_writes_a_file_that_the_service_loads(tmp_path, capsys):
     for finger in FINGERS:
         (tmp_path / finger).mkdir()

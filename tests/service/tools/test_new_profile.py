@@ -101,6 +101,17 @@ def test_a_camera_mounted_turned_shows_the_gel_upright_once_calibrated(up: str, 
     assert np.abs(one - other[::-1, ::-1]).mean() > 5, "otherwise this tests nothing"
 
 
+def test_a_profile_that_somebody_has_edited_is_kept_beside_the_new_one(tmp_path, capsys):
+    picture, profile = tmp_path / "a.png", tmp_path / "mine.toml"
+    cv2.imwrite(str(picture), still(renderer("left", 1)))
+    profile.write_text("mm_per_px = 0.0712  # measured")
+    assert main(["calibrate", "--picture", str(picture), "--new-profile", str(profile)]) == 0
+    (kept,) = tmp_path.glob("mine.*.toml")
+    assert kept.read_text() == "mm_per_px = 0.0712  # measured"
+    assert str(kept) in capsys.readouterr().out
+    assert Sensor.load(profile).name == "mine"
+
+
 def test_a_new_profile_that_no_sensor_option_could_name_is_refused(tmp_path, capsys):
     picture = tmp_path / "a.png"
     cv2.imwrite(str(picture), still(renderer("left", 1)))
