@@ -18,6 +18,8 @@ from simulation.studies.identify.evidence import Floats, Touch, numbers_of
 GRIPS_N = (10.0, 40.0)
 GRIPS_APART = (1.8, 2.2)
 """Ratio of the firmer to the lighter grip."""
+SPEED_MM_S = (4.8, 5.2)
+"""Of the probes: the posterior was fitted to the client's own descent, and one of 4 mm/s shows a third more reach."""
 WIDTH_MM, DEPTH_MM = (40.0, 110.0), (40.0, 100.0)
 """Least size of the pressing rectangle: its faces cover the pads, and turned it lies on both sides of its gap."""
 AT_MM, AT_DEG = 1e-3, 1e-3
@@ -75,6 +77,12 @@ def sorted_out(signs: Sequence[Touch], presses: Mapping[float, Sequence[Touch]])
         raise ContractError(
             f"presses at {grips[0]:g} and {grips[1]:g} N; expected {GRIPS_N[0]:g} to {GRIPS_N[1]:g} N,"
             " one twice the other"
+        )
+    slowest, *_, fastest = sorted(one.speed_mm_s for one in (*signs, *presses[own], *presses[grips[1]]))
+    if not SPEED_MM_S[0] <= slowest <= fastest <= SPEED_MM_S[1]:
+        raise ContractError(
+            f"probes at {slowest:g} to {fastest:g} mm/s; expected {SPEED_MM_S[0]:g} to {SPEED_MM_S[1]:g}, as"
+            " [ramps.descend] has it by default"
         )
     shape, usual = signs[0].markers_px.shape, Sensor.load()
     if any(one.markers_px.shape != (2, usual.marker_rows, usual.marker_columns, 2) for one in (*signs, *presses[own])):

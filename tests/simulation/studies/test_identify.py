@@ -1,6 +1,7 @@
 """Identification from presses: intervals hold their coverage, and undetermined parameters keep their full width."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -107,6 +108,9 @@ def test_presses_that_do_not_tell_are_refused_by_name(played):
             recorded.sorted_out(probes.signs, presses)
     with pytest.raises(ContractError, match="no probe for signs"):
         recorded.read(folder / "00")
+    slowed = [replace(one, speed_mm_s=4.0) for one in probes.presses[other]]
+    with pytest.raises(ContractError, match=r"probes at 4 to 5 mm/s; expected 4\.8 to 5\.2"):
+        recorded.sorted_out(probes.signs, {**probes.presses, other: slowed})
 
 
 BEGUN = [*((40.0, start) for start in SIDES), *((grip, start) for grip in (40.0, 20.0) for start in PRESSES)]
