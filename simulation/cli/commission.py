@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,7 +14,7 @@ import tyro
 from reporting.files import write_durably, write_json
 from reporting.page import publish
 from service.contract.shipped import released_models
-from simulation.closed_loop import campaign
+from simulation.closed_loop import benchmark, campaign
 from simulation.data.sources import sources_sha256
 from simulation.scene.scene import Scene, SceneError
 from simulation.scene.worlds import World, files_in, load_objects, load_scene, load_world
@@ -76,6 +77,10 @@ def main(arguments: list[str]) -> int:
     if min(options.probes, options.around, options.work) < 0 or options.insertions < 1:
         given = f"--probes {options.probes} --around {options.around} --work {options.work}"
         raise ValueError(f"{given} --insertions {options.insertions}: expected at least 0, 0, 0 and 1")
+    if options.json.is_dir():
+        raise ValueError(f"--json {options.json}: is a folder; expected a file for the rows")
+    if options.probes and find_spec("torch") is None:
+        raise ValueError("adapting needs torch: install the extra `training`, or play only the wiring (--probes 0)")
     models = options.models
     checkpoint = options.checkpoint or models / "checkpoint.pt"
     if not checkpoint.exists():
@@ -85,6 +90,7 @@ def main(arguments: list[str]) -> int:
     made_by = f"{campaign.made_by({'belief': models})}-{sources_sha256(STORED_BY)[:12]}"
     worlds = [load_world(file) for file in files_in(options.worlds)]
     cells = [(_cell(options, world, made_by), plan) for world in worlds]
+    benchmark.check_sensors([(cell.world, scene) for cell, _ in cells for scene in cell.objects.values()], models)
     good = [world for world in worlds if world.unstated.wired_right]
     if options.mistakes:
         wrong = [one for world in good for one in mistaken(world)]

@@ -1,6 +1,5 @@
 """`python -m simulation evaluate`: every world with every object in lock step, on all cores, resumable, as rows."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import product
@@ -115,19 +114,9 @@ def tasks(options: Options) -> list[Task]:
 
     Raises ValueError for a world whose sensor the networks do not read.
     """
-    from simulation.closed_loop.play import models_of  # imports the service's pipeline
-
     worlds, objects = _what(options)
-    card = models_of(options.models).card
-    read, scale = card.frame, card.profile.mm_per_px
-    for world, scene in product(worlds, objects.values()):
-        sensor = world.around(scene).sensor
-        if sensor.rectified != read or not math.isclose(sensor.mm_per_px, scale, rel_tol=1e-3):
-            raise ValueError(
-                f"world {world.name}, object {scene.name}: pictures of the sensor {sensor.name} are "
-                f"{sensor.width_px} x {sensor.height_px} px of {sensor.mm_per_px:g} mm; the networks in "
-                f"{options.models} read {read.width_px} x {read.height_px} px of {scale:g} mm"
-            )
+    inside = [(world, world.around(scene)) for world, scene in product(worlds, objects.values())]
+    benchmark.check_sensors(inside, options.models)
     made_by = campaign.made_by({options.controller: options.models})
     return benchmark.tasks(worlds, objects, options.count, options.seed, options.models, made_by, **_how(options))
 

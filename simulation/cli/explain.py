@@ -7,12 +7,13 @@ import numpy as np
 
 from reporting.machine import best_cpu_ms
 from service.contract.text import Parser, fitted
+from simulation.closed_loop.client import PROBING_MM_S
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.effects import EFFECTS, decide
 from simulation.scene.scene import Scene
-from simulation.scene.worlds import World, load_scene, load_world
+from simulation.scene.worlds import World, freed, load_scene, load_world
 
 IN_THE_PHYSICS = (
     *("gravity", "inertia", "edge_friction", "free_blocks", "gel_coupling"),
@@ -64,7 +65,8 @@ def explain(arguments: list[str]) -> int:
     parser.add_argument("--world", help="a world file (default: the project's own cell)")
     given = parser.parse_args(arguments)
     world = load_world(given.world) if given.world else World()
-    scene = world.around(load_scene(given.scene))
+    scene = world.around(freed(load_scene(given.scene)))
+    scene = scene.varied({"speed_mm_s": min(scene.speed_mm_s, PROBING_MM_S)})
     gap = f"gap {scene.blocks.gap_mm:g} mm, clearance {scene.clearance_mm:.2f} mm a side"
     print(f"{scene.name}: {gap}, tier {scene.gel.tier}")
     for effect in EFFECTS:

@@ -13,7 +13,7 @@ from reporting.machine import commit
 from service.contract.shipped import released_models
 from simulation.cli.drawn_worlds import drawn_objects, drawn_worlds_of
 from simulation.cli.evaluate import PlayOptions
-from simulation.closed_loop import campaign
+from simulation.closed_loop import benchmark, campaign
 from simulation.closed_loop.job import Perception
 from simulation.scene.worlds import World, load_objects, load_world
 from simulation.studies.drawn_worlds import Start, starts
@@ -65,6 +65,8 @@ def main(arguments: list[str]) -> int:
 def _played(options: PlayOptions, begun: Sequence[Start]) -> dict[str, Any]:
     cells = [(start.world, start.scene) for start in begun]
     late = timed_each(cells, options.seed, options.models, options.workers)
+    if all(row["late_s"] is None for row in late):
+        raise ValueError(f"in none of {len(late)} cells did presses at two speeds tell the lateness: nothing to play")
     todo = tasks(POINTS, begun, options.seed, options.models, [row["late_s"] for row in late])
     rows = options.play(todo, campaign.fingerprint(_folders(options.models)))
     return {"seed": options.seed, "commit": commit(), "late": late, **report.report_of(rows, POINTS)}
@@ -101,11 +103,13 @@ def choose(arguments: list[str]) -> int:
     """0 if a choice meets all limits, 1 if only the nearest was written."""
     options = tyro.cli(ChooseOptions, args=arguments, prog="tactile-insertion choose")
     wanted = choosing.Wanted(options.seconds_a_box, options.success, options.max_force)
+    wanted.check()
     if options.world is None:
         data = read_json(options.report, MADE_BY)
     else:
         out = Path("runs/choose") / options.world.stem
         played = PlayOptions(out=out, docs=out, models=released_models(), count=options.count)
+        played.check()
         begun = _in_world(load_world(options.world), played)
         data = _played(played, begun)
     best, kept = choosing.choose(data, wanted)
@@ -115,4 +119,6 @@ def choose(arguments: list[str]) -> int:
 
 
 def _in_world(world: World, options: PlayOptions) -> list[Start]:
-    return starts([world], list(load_objects(options.objects)), options.count, options.seed)
+    objects = load_objects(options.objects)
+    benchmark.check_sensors([(world, scene) for scene in benchmark.held_in(world, objects).values()], options.models)
+    return starts([world], list(objects), options.count, options.seed)

@@ -12,11 +12,14 @@ from reporting.files import write_json
 from reporting.page import publish
 from simulation.cli.drawn_worlds import drawn_worlds_of
 from simulation.cli.evaluate import PlayOptions
-from simulation.closed_loop import campaign
+from simulation.closed_loop import benchmark, campaign
 from simulation.closed_loop.job import Perception
+from simulation.data.sources import sources_sha256
 from simulation.scene.worlds import files_in, load_objects, load_world
 from simulation.studies import trust
 from simulation.studies.lateness import lateness
+
+TIMED_BY = "simulation.studies.lateness"
 
 
 @dataclass(frozen=True)
@@ -49,9 +52,11 @@ def main(arguments: list[str]) -> int:
         worlds += drawn_worlds_of(options.drawn_n, options.seed, options.layer_share)
     setup = campaign.fingerprint({"belief": options.models})
     objects, path = load_objects(options.objects), options.out / "lateness.json"
+    inside = [(world, scene) for world in worlds for scene in benchmark.held_in(world, objects).values()]
+    benchmark.check_sensors(inside, options.models)
     timed = [asdict(world) | {"unstated": world.unstated.model_dump(mode="json")} for world in worlds]
-    which = json.dumps([options.seed, timed, [scene.sha256 for scene in objects.values()]])
-    campaign.claim(options.out, {**setup, "worlds, objects or seed": sha256(which.encode()).hexdigest()})
+    which = json.dumps([options.seed, timed, [scene.sha256 for scene in objects.values()], sources_sha256(TIMED_BY)])
+    campaign.claim(options.out, {**setup, "worlds, objects, seed or timing": sha256(which.encode()).hexdigest()})
     if not path.exists():
         write_json(path, lateness(worlds, objects, options.seed, options.models, options.workers))
     late = json.loads(path.read_text(encoding="utf-8"))

@@ -1,8 +1,9 @@
 """Every world with every object: what `evaluate --worlds` plays, and its rows."""
 
+import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -57,6 +58,22 @@ def held_in(world: World, objects: Mapping[str, Scene]) -> dict[str, Scene]:
         with suppress(SceneError):
             held[name] = world.around(scene)
     return held
+
+
+def check_sensors(scenes: Iterable[tuple[World, Scene]], models: Path) -> None:
+    """Raise ValueError for a scene, in its world, whose sensor the networks in the folder do not read."""
+    from simulation.closed_loop.play import models_of  # imports the service's pipeline
+
+    card = models_of(models).card
+    read, scale = card.frame, card.profile.mm_per_px
+    for world, scene in scenes:
+        sensor = scene.sensor
+        if sensor.rectified != read or not math.isclose(sensor.mm_per_px, scale, rel_tol=1e-3):
+            raise ValueError(
+                f"world {world.name}, object {scene.name}: pictures of the sensor {sensor.name} are "
+                f"{sensor.width_px} x {sensor.height_px} px of {sensor.mm_per_px:g} mm; the networks in "
+                f"{models} read {read.width_px} x {read.height_px} px of {scale:g} mm"
+            )
 
 
 def table(rows: Sequence[Row]) -> list[Row]:

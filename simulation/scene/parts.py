@@ -72,7 +72,7 @@ class HeldObject(Part):
             return data
         if not any(data.get(name) for name in HELD):
             return data
-        radius_mm = data.get("held_corner_radius_mm") or data.get("corner_radius_mm", 0.0)
+        radius_mm = data.get("held_corner_radius_mm", data.get("corner_radius_mm", 0.0))
         return data | {"held_shape": data.get("shape"), "held_corner_radius_mm": radius_mm}
 
     @property
@@ -113,9 +113,12 @@ class HeldObject(Part):
 
     @property
     def held_sizes_mm(self) -> tuple[float, float]:
-        """Sizes of the held section across the gap and along it, mm; a hexagon under another shape is regular."""
+        """Sizes of the held section across the gap and along it, mm.
+
+        A hexagon above a regular one, or above another shape, is regular.
+        """
         x_mm = self.held_size_x_mm or self.size_x_mm
-        regular = self.held_shape == "hexagon" != self.shape
+        regular = self.held_shape == "hexagon" and (self.shape != "hexagon" or self.size_x_mm == self.size_y_mm)
         return x_mm, self.held_size_y_mm or (x_mm if regular else self.size_y_mm)
 
 

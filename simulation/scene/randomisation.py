@@ -59,7 +59,15 @@ def randomised(scene: Scene, rng: np.random.Generator, *, held_out: bool = False
         changes["object.vertices_mm"] = [(x * scales[0], y * scales[1]) for x, y in body.vertices_mm]
     if regular:
         changes["object.size_y_mm"] = size_x
-    return scene.varied(changes)
+    return _with_held_corners(scene, changes)
+
+
+def _with_held_corners(scene: Scene, changes: dict[str, Any]) -> Scene:
+    """The changed scene; the corners of its held section stay alike, where a size of it follows the object's own."""
+    own_mm = scene.object.held_corner_radius_mm
+    sharp = scene.varied(changes | {"object.held_corner_radius_mm": 0.0})
+    sizes = zip(sharp.object.held_sizes_mm, scene.object.held_sizes_mm, strict=True)
+    return sharp.varied({"object.held_corner_radius_mm": min(50.0, own_mm * min(size / own for size, own in sizes))})
 
 
 def _size_mm(own_mm: float, scale: float, most_mm: float) -> float:

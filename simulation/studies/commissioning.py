@@ -78,7 +78,7 @@ class Cell:
         few = min(count, FEW - len(SIDES))
         firsts = [*range(0, few, PER_GRASP), *range(few, count, PER_GRASP)]
         names, starts = list(islice(cycle(self.objects), len(firsts))), []
-        for name, first, end in zip(names, firsts, [*firsts[1:], count], strict=True):
+        for name, first, end in zip(names, firsts, [*firsts, count][1:], strict=True):
             scene = self.objects[name]
             within = min(REACH[0], scene.x_range_mm), min(REACH[1], scene.theta_range_deg)
             starts.append(list(map(errors(self.seed, *within, FITS), range(first, end))))
@@ -137,7 +137,7 @@ def commission(cell: Cell, plan: Plan) -> Row:
     name = next(iter(by_corner(cell.objects)))
     row["late"] = timed(cell.world, name, hash_seed(cell.seed, TIMING), plan.models, cell=cell.cell)
     cell = replace(cell, late_s=row["late"]["late_s"])
-    probes = _played(cell, plan, "probes", cell.probes(max(0, plan.probes - len(signs))))
+    probes = _played(cell, plan, "probes", cell.probes(max(0, plan.probes - len(signs))), in_order=True)
     labelled |= {cell.folder / "probes" / f"{index:05d}": 1 + len(row["starts"]) for index, row in enumerate(probes)}
     if plan.work:
         _played(cell, plan, "work", cell.jobs(plan.work, WORK))

@@ -110,6 +110,8 @@ def _late(rows: Sequence[Row]) -> tuple[str, ...]:
         return (f"In none of {len(rows)} worlds did presses at two speeds tell how late pictures and arm are.",)
     short_n = sum(off < 0.0 for off in off_ms)
     true_ms = [1e3 * row["true_late_s"] for row in rows]
+    unknown_n = len(rows) - len(off_ms)
+    refused = f" In the other {unknown_n}, `insert` refuses." if unknown_n else ""
     return (
         "## Presses at two speeds tell how late pictures and arm are",
         f"""
@@ -117,7 +119,7 @@ def _late(rows: Sequence[Row]) -> tuple[str, ...]:
         {min(true_ms):.0f} to {max(true_ms):.0f} ms. [Presses](decisions/0194-how-late-pictures-and-arm-are.md) gave a
         bound on them in {len(off_ms)}: {np.mean(off_ms):+.0f} ms from the truth on average, {min(off_ms):+.0f} to
         {max(off_ms):+.0f} ms, and below it in {wilson(short_n, len(off_ms)):.0%}. They take up to
-        {max(row["robot_s"] for row in rows):.0f} s of robot time, with the way to the fixture.
+        {max(row["robot_s"] for row in rows):.0f} s of robot time, with the way to the fixture.{refused}
         """,
     )
 

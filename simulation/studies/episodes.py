@@ -101,7 +101,10 @@ def _at_each(places: Sequence[Place], insertion: Insertion, plan: Plan) -> tuple
         if not (left and goes_on and in_vain_n < GRASPS_N):
             return outcome, answered
         plan = plan.model_copy(update={"approach": left[0][1], "starts": tuple(pose for _, pose in left[1:])})
-        insertion.take_afresh(plan)
+        try:
+            insertion.take_afresh(plan)
+        except PhysicsError:  # what was answered before counts all the same
+            return outcome, answered
         insertion.begin_again(plan)
 
 

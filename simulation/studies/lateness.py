@@ -20,7 +20,7 @@ from simulation.data.parallel import results
 from simulation.data.progress import shown
 from simulation.scene.scene import Scene
 from simulation.scene.state import PhysicsError
-from simulation.scene.worlds import World
+from simulation.scene.worlds import World, load_scene
 from simulation.studies.episodes import hangs_askew
 from simulation.studies.wiring import BEFORE_SIGNS, by_corner
 
@@ -33,7 +33,7 @@ def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
     """
     arm = world.unstated
     start = PLACE[0] * arm.x_sign, PLACE[1] * arm.yaw_sign
-    camera_s = 1e-3 * float(world.changes.get("camera.latency_ms", 0.0))
+    camera_s = 1e-3 * world.around(load_scene(name)).camera.latency_ms
     row: Row = {"world": world.name, "late_s": None, "true_late_s": camera_s + arm.stop_lag_s, "robot_s": 0.0}
     try:
         insertion = stage(Job(**job_in(world, name, 0, start, seed, **BEFORE_SIGNS, **job)), models_of(models))
@@ -41,6 +41,16 @@ def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
     except (PhysicsError, LimitError):
         return row
     series = list[Press]()
+    try:
+        whole = _all_pressed(insertion, plans, series)
+    except PhysicsError:  # a grasp in between has no equilibrium
+        whole = False
+    known_s = late_s(series) if whole else None
+    return row | {"late_s": known_s, "robot_s": insertion.seconds.total_s + trip_s(plans[0]) + GUIDANCE_S * len(series)}
+
+
+def _all_pressed(insertion: Insertion, plans: Sequence[Plan], series: list[Press]) -> bool:
+    """Add all presses to ``series``; False if one failed."""
     while (fast := next_is_fast(series)) is not None:
         afresh, insertion.grasps = not series, 1
         watch = _pressed(insertion, plans[fast])
@@ -48,11 +58,10 @@ def timed(world: World, name: str, seed: int, models: Path, **job: Any) -> Row:
             afresh, fast = True, False
             insertion.take_afresh(plans[fast])
             watch = _pressed(insertion, plans[fast])
-        if failed := insertion.state.phase is not Phase.PROBED:
-            break
+        if insertion.state.phase is not Phase.PROBED:
+            return False
         series.append(Press(fast=fast, stop=watch.stop, afresh=afresh))
-    known_s = None if failed else late_s(series)
-    return row | {"late_s": known_s, "robot_s": insertion.seconds.total_s + trip_s(plans[0]) + GUIDANCE_S * len(series)}
+    return True
 
 
 def _pressed(insertion: Insertion, plan: Plan) -> StopWatch:

@@ -18,6 +18,11 @@ class Wanted(NamedTuple):
     success: float
     force_n: float
 
+    def check(self) -> None:
+        """Raise ValueError if nothing could meet these needs."""
+        if not (self.seconds_a_box > 0 and self.force_n > 0 and 0 < self.success <= 1):
+            raise ValueError(f"{self}: expected seconds and force above 0, and a share above 0 up to 1")
+
     def short(self, point: Row, count: int) -> float:
         """Shortfall of a choice, relative to the needs."""
         shares = (
@@ -29,12 +34,10 @@ class Wanted(NamedTuple):
 
 
 def choose(data: Row, wanted: Wanted) -> tuple[Row, bool]:
-    """The fastest choice that meets all three, and True; else the nearest, and False. Raises ValueError.
+    """The fastest choice that meets all three, and True; else the nearest, and False.
 
     A choice with a false claim meets nothing, and is nearest only if no other has fewer.
     """
-    if not (wanted.seconds_a_box > 0 and wanted.force_n > 0 and 0 < wanted.success <= 1):
-        raise ValueError(f"{wanted}: expected seconds and force above 0, and a share above 0 up to 1")
     count = data["insertions"]
     best = min(data["points"], key=lambda p: (p["claimed_wrongly"], wanted.short(p, count), p["seconds_a_box"][0]))
     return best, not best["claimed_wrongly"] and wanted.short(best, count) == 0.0

@@ -7,6 +7,11 @@ import pytest
 from simulation.__main__ import COMMANDS, main
 from tests.simulation.strategies import made_up_dataset, made_up_trial
 
+ON_A_WORLD = (
+    "evaluate --models MODELS --json OUT/rows.json",
+    "trust --drawn-n 0 --out OUT",
+    "commission --objects rectangle --json OUT/rows.json",
+)
 REFUSED = [
     ("collect --out OUT --workers -1", "--workers"),
     ("collect --out OUT --seed -1", "--seed"),
@@ -30,6 +35,9 @@ REFUSED = [
     ("evaluate --models MODELS --json OUT/rows.json --seed=-1", "--seed -1"),
     ("drawn-worlds --models MODELS --out OUT --drawn-n 0", "--drawn-n 0"),
     ("trust --models MODELS --out OUT --drawn-n 0", "--drawn-n 0"),
+    ("choose --seconds-a-box 10 --success 95 --world MINI --out OUT", "a share above 0 up to 1"),
+    *((f"{line} --worlds MINI", "pictures of the sensor gelsight_mini") for line in ON_A_WORLD),
+    ("commission --worlds MINI --objects rectangle --json DATA", "is a folder"),
 ]
 
 
@@ -38,7 +46,9 @@ def folders(tmp_path_factory, models_folder) -> dict[str, Path]:
     data = made_up_dataset(tmp_path_factory.mktemp("data"), [made_up_trial(k) for k in range(12)])
     loose = data.with_name("loose.toml")
     loose.write_text("nothing = 1")
-    return {"DATA": data, "MODELS": models_folder, "LOOSE": loose}
+    mini = data.with_name("mini.toml")
+    mini.write_text('[camera]\nsensor = "gelsight_mini"')
+    return {"DATA": data, "MODELS": models_folder, "LOOSE": loose, "MINI": mini}
 
 
 @pytest.mark.parametrize(("line", "named"), REFUSED, ids=[line for line, _ in REFUSED])

@@ -22,4 +22,16 @@ def test_the_effects_of_an_object_in_a_world_are_explained(tmp_path, monkeypatch
     explain.explain(["rectangle"])
     assert "off relaxation" in capsys.readouterr().out
     explain.explain(["rectangle", "--world", str(tmp_path / "creeping.toml")])
-    assert "on  relaxation        gel.relaxation_share is 0.3" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "on  relaxation        gel.relaxation_share is 0.3" in shown
+    assert "on  free_blocks" in shown, "as an insertion meets them"
+
+
+def test_effects_are_explained_at_the_speed_at_which_an_arm_descends(tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(explain, "cost", lambda *_: "")
+    shown = set()
+    for speed_mm_s in (10, 200):
+        (tmp_path / "quick.toml").write_text(f"[motion]\ndescent_speed_mm_s = {speed_mm_s}\n")
+        explain.explain(["rectangle", "--world", str(tmp_path / "quick.toml")])
+        shown.add(capsys.readouterr().out)
+    assert len(shown) == 1

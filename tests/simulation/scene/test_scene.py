@@ -55,6 +55,9 @@ def test_every_draw_of_every_object_can_exist(name: str) -> None:
     assert len({draw.grasp.height_mm for draw in draws}) == 60
 
 
+SQUARE = {"shape": "rectangle", "size_x_mm": 60.0, "size_y_mm": 60.0}
+
+
 @pytest.mark.parametrize(
     "body",
     [
@@ -64,6 +67,9 @@ def test_every_draw_of_every_object_can_exist(name: str) -> None:
         {"shape": "hexagon", "size_x_mm": 110.0, "size_y_mm": 110.0, "corner_radius_mm": 10.0},
         {"shape": "polygon", "vertices_mm": [[0, 0], [60, 0], [60, 25], [30, 40], [0, 25]], "corner_radius_mm": 14.0},
         {"shape": "polygon", "vertices_mm": [[0, 0], [60, 0], [60, 109], [0, 109]], "corner_radius_mm": 9.0},
+        {"shape": "rectangle", "size_x_mm": 51.0, "size_y_mm": 51.0, "corner_radius_mm": 25.0, "held_size_y_mm": 40.0},
+        {**SQUARE, "held_shape": "rectangle", "held_corner_radius_mm": 30},
+        {**SQUARE, "held_shape": "hexagon", "held_corner_radius_mm": 25},
     ],
     ids=lambda body: f"{body['shape']} {body.get('size_x_mm', '')}",
 )
@@ -72,6 +78,20 @@ def test_every_draw_of_an_object_at_the_limits_can_exist(body: dict[str, Any]) -
     sizes = [randomised(scene, rng, held_out=bool(index % 2)).object for index in range(60)]
     if body["shape"] in {"ellipse", "hexagon"}:
         assert all(one.size_x_mm == one.size_y_mm for one in sizes)
+    if "held_shape" in body:
+        assert max(one.held_corner_radius_mm for one in sizes) > body["held_corner_radius_mm"]
+
+
+def test_a_held_section_is_what_its_file_says() -> None:
+    body = {"shape": "rectangle", "size_x_mm": 60.0, "size_y_mm": 60.0, "corner_radius_mm": 6.0, "held_size_x_mm": 20.0}
+    flat = [
+        scene_of_tables({"object": {**body, **radius}}, "mine").object.held_profile[1]
+        for radius in ({}, {"held_corner_radius_mm": 0.0})
+    ]
+    assert flat[1] - flat[0] == pytest.approx(6.0, abs=0.5), "0 is no corner, not that of the bottom"
+    hexagon = {"shape": "hexagon", "size_x_mm": 60.0, "size_y_mm": 60.0, "held_size_x_mm": 40.0}
+    held, whole = (scene_of_tables({"object": {**hexagon, "held_size_x_mm": x}}, "mine").object for x in (40.0, 60.0))
+    assert held.held_width_mm == pytest.approx(whole.held_width_mm * 40.0 / 60.0), "it stays regular"
 
 
 def test_every_draw_of_the_largest_scene_can_exist() -> None:

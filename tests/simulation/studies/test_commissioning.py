@@ -57,6 +57,38 @@ def test_probes_are_drawn_within_what_the_object_may_be_off_and_none_where_it_fi
     assert len(MISTAKES) == 6
 
 
+def test_a_grasp_of_few_probes_that_ends_late_takes_no_place_of_another(tmp_path, monkeypatch):
+    """Workers end in any order, and later calls find what is done in another one."""
+    cell = Cell(World("good"), load_objects(OBJECTS), tmp_path, 1)
+    plan, learnt = Plan(tmp_path, tmp_path, 150, 1), {}
+
+    def played(_play, episodes, _workers, *, in_order):
+        rows = [{**one.job, "robot_s": 1.0} for one in episodes]
+        return rows if in_order else sorted(rows, key=lambda row: -len(row["starts"]))
+
+    signs = [{"robot_s": 1.0}] * 4
+    monkeypatch.setattr(commissioning, "results", played)
+    monkeypatch.setattr(commissioning, "_asked_for_signs", lambda *_: (signs, tmp_path / "signs-1"))
+    monkeypatch.setattr(commissioning, "named_mistakes", lambda _: [])
+    monkeypatch.setattr(commissioning, "carried_out", lambda _: True)
+    monkeypatch.setattr(commissioning, "timed", lambda *_, **__: {"late_s": 0.1})
+    monkeypatch.setattr(commissioning, "_scored", lambda *_: {})
+
+    def adapted(_cell, _plan, name, episodes, _around):
+        learnt[name] = [folder.name for folder in episodes if folder.parent.name == "probes"]
+        return {"took_s": 1.0, "accepted": False}, None
+
+    monkeypatch.setattr(commissioning, "_adapted", adapted)
+    commission(cell, plan)
+    few = next(index for index, job in enumerate(cell.probes(146)) if len(job["starts"]) == 0)
+    assert learnt["after_50"] == [f"{index:05d}" for index in range(few + 1)]
+
+
+def test_few_probes_are_those_of_the_wiring_and_as_many_more(tmp_path):
+    cell = Cell(World(), load_objects(OBJECTS), tmp_path, 1)
+    assert [sum(1 + len(job["starts"]) for job in cell.probes(count)) for count in range(7)] == [*range(7)]
+
+
 @pytest.mark.parametrize(("probes", "few", "all_"), [(20, 20, None), (50, 50, None), (63, 50, 63), (150, 50, 150)])
 def test_the_first_lesson_has_fifty_probes_and_splits_no_grasp(tmp_path, probes, few, all_):
     cell, plan = Cell(World(), load_objects(OBJECTS), tmp_path, 1), Plan(tmp_path, tmp_path, probes, 1)

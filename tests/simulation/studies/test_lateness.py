@@ -5,8 +5,10 @@ import pytest
 from robot_client.session.commission.lateness import LEAST_OPEN_S
 from service.contract.shipped import released_models
 from simulation.cli.drawn_worlds import drawn_worlds_of
+from simulation.closed_loop.play import Insertion
 from simulation.scene import drawn
-from simulation.scene.worlds import load_objects, load_scene
+from simulation.scene.state import PhysicsError
+from simulation.scene.worlds import World, load_objects, load_scene
 from simulation.studies.lateness import errors_ms, lateness, timed
 
 TABLES = drawn.draw_worlds(3, 77)
@@ -32,6 +34,27 @@ def test_an_object_that_turns_in_the_hand_is_regrasped_and_pressed_on_as_on_a_ce
     row = timed(turning, "rectangle", 5, released_models())
     assert 0.0 <= row["late_s"] - row["true_late_s"] < 0.06
     assert 45.0 < row["robot_s"] < 80.0, "with a second way to the fixture"
+
+
+def test_a_grasp_that_has_no_equilibrium_leaves_the_lateness_unknown(monkeypatch):
+    """The others go on."""
+
+    def unsettled(*_):
+        raise PhysicsError("a grasp", "pads unsettled")
+
+    monkeypatch.setattr(Insertion, "take_afresh", unsettled)
+    turning = drawn_worlds_of(200, 109, 0.1)[117]
+    row = timed(turning, "rectangle", 5, released_models())
+    assert row["late_s"] is None
+    assert row["robot_s"] > 0.0
+
+
+def test_the_latency_that_an_objects_file_states_is_true_as_well(tmp_path):
+    file = tmp_path / "box.toml"
+    file.write_text('[object]\nshape = "rectangle"\nsize_x_mm = 60.0\nsize_y_mm = 60.0\n[camera]\nlatency_ms = 80.0\n')
+    row = timed(World(), str(file), 5, released_models())
+    assert row["true_late_s"] == pytest.approx(0.08 + World().unstated.stop_lag_s)
+    assert row["late_s"] is None or row["late_s"] > row["true_late_s"]
 
 
 def test_each_world_is_timed_and_errors_are_counted_where_it_was_measured():

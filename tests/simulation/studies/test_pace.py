@@ -176,7 +176,7 @@ def test_the_quickest_that_keeps_all_three_is_chosen_and_else_the_nearest():
     liars = {"insertions": 50, "points": [point("quicker", 2.0, 50, 2), point("fewer", 9.0, 50, 1)]}
     assert choose(liars, Wanted(10.0, 0.9, 30.0)) == (liars["points"][1], False)
     with pytest.raises(ValueError, match="expected seconds"):
-        choose(data, Wanted(-1.0, 0.9, 30.0))
+        Wanted(-1.0, 0.9, 30.0).check()
 
 
 def test_settings_that_were_chosen_are_a_configuration_of_the_client(tmp_path):

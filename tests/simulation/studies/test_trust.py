@@ -25,7 +25,7 @@ def test_a_world_whose_lateness_is_unknown_is_not_played_and_its_folder_is_of_no
     folder = tiny_models.write_models(tmp_path / "models")  # they decide nothing, so no press measures anything
     words = ["trust", "--out", str(tmp_path), "--docs", str(tmp_path), "--models", str(folder), "-j", "1"]
     words += ["--objects", "circle", "--count", "1", "--drawn-n", "1", "--layer-share", "0"]
-    for seed, why in ((1, "lateness was measured: nothing to play"), (2, "of other worlds, objects or seed")):
+    for seed, why in ((1, "lateness was measured: nothing to play"), (2, "of other worlds, objects, seed or timing")):
         assert main([*words, "--seed", str(seed)]) == 2
         assert why in capsys.readouterr().err
 
