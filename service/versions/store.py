@@ -50,9 +50,9 @@ class Wiring(Contract):
         contests = {one: contest for one, contest in self.contests.items() if one != role}
         return self.model_copy(update={"beside": beside, "contests": contests})
 
-    def digest(self) -> str:
-        """SHA-256 of all fields but itself."""
-        return hashlib.sha256(self.model_dump_json(exclude={"sha256"}).encode()).hexdigest()
+    def digest(self, *, as_read: bool = False) -> str:
+        """SHA-256 of all fields but itself, or of those that were in the file: an older one has fewer."""
+        return hashlib.sha256(self.model_dump_json(exclude={"sha256"}, exclude_unset=as_read).encode()).hexdigest()
 
 
 def version_of(models: ModelSet) -> str:
@@ -83,7 +83,7 @@ class Store:
             raise ContractError(
                 f"{path} says of no versions: {first_error(error)}; remove it to begin anew with the released networks"
             ) from None
-        if wiring.sha256 != wiring.digest():
+        if wiring.sha256 != wiring.digest(as_read=True):
             raise ContractError(f"{path} is not as it was written; remove it to begin anew with the released networks")
         return wiring
 
