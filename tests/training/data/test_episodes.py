@@ -195,6 +195,12 @@ def test_of_all_probes_only_those_count_that_the_record_of_a_commissioning_lists
 
     listed = [{"insertion_id": "0001"}, {"insertion_id": "0004"}]
     assert read(signs=listed[:1], probes=listed[1:]).groups.tolist() == ["0001", "0004"]
+    assert read(signs=listed, probes=[{"insertion_id": "gone"}]).groups.tolist() == ["0001", "0004"]
+    with pytest.raises(ContractError, match=r"5 other probes among 5 .* none of the 1 insertions that .*\.toml lists"):
+        read(signs=[{"insertion_id": "gone"}])
+    recorded(tmp_path / "runs", 2, work=True, first=5)
+    with pytest.raises(ContractError, match=r"5 other probes among 7 .* none of the 1 insertions that .*\.toml lists"):
+        read(signs=[{"insertion_id": "gone"}])
     with pytest.raises(ContractError, match="names mistakes, and its probes have wrong labels: x reversed"):
         read(signs=listed, named=["x reversed"])
     record.write_text("")
