@@ -47,14 +47,19 @@ class Attempt(NamedTuple):
 
 @dataclass(frozen=True)
 class Listed:
-    """Of ``listed_n`` insertions that the record of a commissioning lists, ``present_n`` are in the folder ``root``."""
+    """Of ``listed_n`` insertions that the record of a commissioning lists, ``present_n`` are in the folder ``root``.
+
+    ``earlier_n`` recordings of work are older than all of these.
+    """
 
     root: str
     listed_n: int
     present_n: int
+    earlier_n: int
 
     def text(self) -> str:
-        return f"{self.present_n} of {self.listed_n} listed insertions are in {self.root}"
+        skipped = f", {self.earlier_n} recordings of earlier work are skipped" if self.earlier_n else ""
+        return f"{self.present_n} of {self.listed_n} listed insertions are in {self.root}{skipped}"
 
 
 def read_episodes(root: Path, sensor: Sensor, record: Path | None = None) -> Pressed:
@@ -75,7 +80,10 @@ def read_episodes(root: Path, sensor: Sensor, record: Path | None = None) -> Pre
 
 
 def recordings_of(root: Path, record: Path | None = None) -> tuple[list[Path], Listed | None]:
-    """The recordings below ``root``, in order of time: of all probes, only those that a ``record`` lists, if given.
+    """The recordings below ``root``, in order of time; those that a ``record``, if given, vouches for.
+
+    Of all probes these are the listed ones. Work before them was of another setting, maybe with another gel. The names
+    of recordings tell the order: the record's own time is of another clock.
 
     Raises ContractError without such a folder, or where it holds none of those probes.
     """
@@ -90,8 +98,10 @@ def recordings_of(root: Path, record: Path | None = None) -> tuple[list[Path], L
     if not present:
         held = f"which holds {len(probes)} other probes among {len(folders)} recordings"
         raise ContractError(f"{root}, {held}, holds none of the {len(listed)} insertions that {record} lists")
-    kept = [folder for folder in folders if folder in present or folder not in probes]
-    return kept, Listed(str(root), len(listed), len({*present.values()}))
+    work = [folder for folder in folders if folder not in probes]
+    later = [folder for folder in work if folder > min(present)]
+    there = Listed(str(root), len(listed), len({*present.values()}), len(work) - len(later))
+    return sorted([*present, *later]), there
 
 
 def cells_of(root: Path, samples: Pressed) -> dict[str, int]:
