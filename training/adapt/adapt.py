@@ -193,7 +193,7 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
     against: dict[StageName, tuple[str, ...]]
     against = {stage: tuple(to_gain(before, fair[stage], groups, seed, chance[stage])) for stage in likelier}
     if "calibration" in fair:
-        against["calibration"] = tuple(to_wider(before))
+        against["calibration"] = tuple(to_wider(before, groups))
     fallback: StageName = likelier[0] if likelier else "released"
     best = next((stage for stage in against if not against[stage]), fallback)
     objections = against.get(best, ("no stage is likelier than the release",))
