@@ -24,7 +24,8 @@ WIRING, LOCK = "wiring.json", "lock"
 class Wiring(Contract):
     """Which version decides, which run beside it, and the evidence for those.
 
-    ``released``: the version in the service's models folder, the origin of all others. ``rejected``: why, by version.
+    ``released``: the version in the service's models folder, the origin of all others. ``rejected``: why, by version,
+    the latest last: its files stay, so that its recordings can be decided again.
     """
 
     schema_version: Literal[1] = 1
@@ -131,7 +132,7 @@ class Store:
         _write(fresh, text.encode())
         fresh.rename(self.home / WIRING)
         _sync(self.home)
-        kept = {wiring.active, *wiring.beside.values()}
+        kept = {wiring.active, *wiring.beside.values(), *[*wiring.rejected][-1:]}
         for path in self.home.iterdir():
             if path.is_dir() and path.name not in kept:
                 shutil.rmtree(path, ignore_errors=True)

@@ -242,7 +242,8 @@ class Versions:
         back = wiring.without("previous").model_copy(update={"active": version, "rejected": rejected})
         if shadow := back.beside.get("shadow"):  # its opponent no longer decides
             back = back.with_one("shadow", shadow, Contest())
-        self._change("rolled_back", wiring.active, why, back)
+        kept = f"its networks stay in {self._store.home / wiring.active} until the next rollback"
+        self._change("rolled_back", wiring.active, f"{why}; {kept}", back)
 
     def _needed(self, role: Role, otherwise: str) -> str:
         if role not in self._now.wiring.beside:

@@ -199,6 +199,27 @@ def test_the_log_has_a_line_for_networks_that_only_guess_whether_they_decide_or_
     assert restarted == [line for line in lines if "caution" in line]
 
 
+def test_networks_that_were_rolled_back_stay_until_the_next_rollback_and_the_event_says_where(
+    tmp_path: Path, three: list[Path]
+) -> None:
+    home, events = tmp_path / "versions", list[dict[str, str]]()
+    versions = Versions(home, load_models(three[0]), lambda _, event: events.append(event))
+    first, second = (version_of(load_models(folder)) for folder in three[1:])
+    with contextlib.closing(versions):
+        versions.give(three[1])
+        versions.promote()
+        versions.roll_back()
+        assert version_of(load_models(home / first)) == first
+        assert events[-1]["why"] == f"by hand; its networks stay in {home / first} until the next rollback"
+        assert versions.state().rejected == {first: "by hand"}
+        versions.give(three[2])
+        versions.promote()
+        assert (home / first).is_dir()
+        versions.roll_back()
+        assert not (home / first).exists()
+        assert version_of(load_models(home / second)) == second
+
+
 def test_two_services_do_not_share_their_versions(tmp_path: Path, three: list[Path]) -> None:
     first = promoted(tmp_path / "versions", three)
     with pytest.raises(ContractError, match="give each its own --state"):
