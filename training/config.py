@@ -146,16 +146,26 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 
 def refuse_another(folder: Path, config: Contract) -> None:
-    """Raise ContractError if a run with another config wrote into ``folder``: it cannot be resumed."""
-    path, asked = folder / "config.json", config.model_dump_json(indent=1)
-    if not path.exists() or path.read_bytes() == asked.encode():
+    """Raise ContractError if a run with another config wrote into ``folder``: it cannot be resumed.
+
+    `max_minutes` may differ: it shapes no step, and a stage that it cut goes on with more of them.
+    """
+    path = folder / "config.json"
+    if not path.exists():
         return
     try:
-        apart = list(differences(json.loads(path.read_bytes()), json.loads(asked)))
+        apart = list(differences(_shaping(path.read_bytes()), _shaping(config.model_dump_json())))
     except (ValueError, AttributeError):
         apart = ["its config.json is damaged"]
-    what = "; ".join(["belongs to a run with another config", *apart])
-    raise ContractError(f"{folder} {what}; expected a new name or an empty folder")
+    if apart:
+        what = "; ".join(["belongs to a run with another config", *apart])
+        raise ContractError(f"{folder} {what}; expected a new name or an empty folder")
+
+
+def _shaping(config: str | bytes) -> dict[str, Any]:
+    """The settings that shape a network's training."""
+    read = json.loads(config, object_hook=lambda part: {key: part[key] for key in part if key != "max_minutes"})
+    return dict(read.items())
 
 
 def differences(one: Mapping[str, Any], other: Mapping[str, Any], above: str = "") -> Iterator[str]:

@@ -97,6 +97,11 @@ class Insertion:
         self._settle_unless_near(now, paired=False)
 
     @property
+    def object(self) -> str:
+        """The object by its client, empty where that does not say."""
+        return self.episode.object if self.episode else ""
+
+    @property
     def facts(self) -> dict[str, Any]:
         """Facts about the task for the summary."""
         episode = self.episode

@@ -276,8 +276,8 @@ class InsertionManager:
         if self.versions is None or insertion.beside is None:
             return
         try:
-            tried_n = insertion.tried_n
-            self.versions.learn(insertion.beside, finished, fresh=insertion.continues is None, tried_n=tried_n)
+            fresh, tried_n = insertion.continues is None, insertion.tried_n
+            self.versions.learn(insertion.beside, finished, insertion.object, fresh=fresh, tried_n=tried_n)
         except Exception as error:  # the insertion itself has ended well
             self.hub.publish("error", f"versions: {reason(error)}")
 

@@ -21,7 +21,8 @@ MOST = 1e9  # of a capital; a bet won for thousands of insertions would overflow
 STAKES = (0.1, 0.3, 0.6, 0.9)
 LEAST_COVERAGE = 0.75  # of 90 % intervals, with errors known to within the gap's clearance
 TOLERATED = 1.1  # ratio to the attempts with the version before
-KNOWN_N, UNKNOWN = 50, 5.0  # insertions after which that mean is known, and the attempts tolerated before
+KNOWN_N, UNKNOWN = 50, 5.0  # insertions of an object after which that mean is known, and the attempts tolerated before
+OBJECTS_N = 32  # whose insertions are counted apart
 FAILED = MAX_ATTEMPTS + 1  # number of attempts that a failure counts as
 SUREST = 0.98  # highest confidence attributed to a version about the end of an attempt
 WORST = -math.log(1.0 - SUREST)
@@ -57,13 +58,16 @@ class Contest(Contract):
     """Evidence for a version beside the active one, after ``scored_n`` attempts that both had predicted.
 
     ``score``: it predicts better which attempts insert. ``covers``: its intervals hold enough, of x and of yaw.
-    ``misses``: those of the active one do not. ``slow``: the active one takes more attempts than ``tolerated``.
+    ``misses``: those of the active one do not. ``slow``: the active one takes more attempts than ``tolerated_of`` the
+    object, or of one that is not listed there, than ``tolerated`` and `UNKNOWN`. ``by_object``: insertions, attempts.
     """
 
     scored_n: int = 0
     ended_n: int = 0
     attempts_n: int = 0
+    by_object: dict[str, tuple[int, int]] = Field(default_factory=dict)
     tolerated: float = Field(default=UNKNOWN, ge=1.0)
+    tolerated_of: dict[str, float] = Field(default_factory=dict)
     score: Bet = Bet()
     covers: tuple[Bet, Bet] = (Bet(), Bet())
     misses: tuple[Bet, Bet] = (Bet(), Bet())
@@ -97,11 +101,24 @@ class Contest(Contract):
         """The mean number of attempts to tolerate of a version that takes over."""
         return TOLERATED * self.attempts_n / self.ended_n if self.ended_n >= KNOWN_N else UNKNOWN
 
-    def ended(self, attempts: int) -> Self:
-        """An insertion ended after so many attempts, `FAILED` if it failed for a reason that decisions may cause."""
-        counted = {"ended_n": self.ended_n + 1, "attempts_n": self.attempts_n + attempts}
-        slow = self.slow.on((attempts - self.tolerated) / self.tolerated)
-        return self.model_copy(update=counted | {"slow": slow})
+    @property
+    def tolerates_of(self) -> dict[str, float]:
+        """The same by object, of those known: objects come in batches, and an unknown one may need more attempts."""
+        known = {of: counted for of, counted in self.by_object.items() if counted[0] >= KNOWN_N}
+        return {of: TOLERATED * attempts_n / ended_n for of, (ended_n, attempts_n) in known.items()}
+
+    def ended(self, attempts: int, of: str) -> Self:
+        """An insertion of an object ended after so many attempts, `FAILED` if decisions may have made it fail."""
+        ended_n, attempts_n = self.by_object.get(of, (0, 0))
+        by_object = self.by_object | {of: (ended_n + 1, attempts_n + attempts)}
+        tolerated = self.tolerated_of.get(of, max(UNKNOWN, self.tolerated))
+        counted = {
+            "ended_n": self.ended_n + 1,
+            "attempts_n": self.attempts_n + attempts,
+            "by_object": by_object if len(by_object) <= OBJECTS_N else self.by_object,
+            "slow": self.slow.on((attempts - tolerated) / tolerated),
+        }
+        return self.model_copy(update=counted)
 
     def scored(self, better: float) -> Self:
         """Add an attempt's outcome: ``better`` is the difference of the predictions' scores."""

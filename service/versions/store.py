@@ -24,7 +24,8 @@ WIRING, LOCK = "wiring.json", "lock"
 class Wiring(Contract):
     """Which version decides, which run beside it, and the evidence for those.
 
-    ``released``: the version in the service's models folder, the origin of all others. ``rejected``: why, by version.
+    ``released``: the version in the service's models folder, the origin of all others. ``rejected``: why, by version,
+    the latest last: its files stay, so that its recordings can be decided again.
     """
 
     schema_version: Literal[1] = 1
@@ -50,9 +51,9 @@ class Wiring(Contract):
         contests = {one: contest for one, contest in self.contests.items() if one != role}
         return self.model_copy(update={"beside": beside, "contests": contests})
 
-    def digest(self) -> str:
-        """SHA-256 of all fields but itself."""
-        return hashlib.sha256(self.model_dump_json(exclude={"sha256"}).encode()).hexdigest()
+    def digest(self, *, as_read: bool = False) -> str:
+        """SHA-256 of all fields but itself, or of those that were in the file: an older one has fewer."""
+        return hashlib.sha256(self.model_dump_json(exclude={"sha256"}, exclude_unset=as_read).encode()).hexdigest()
 
 
 def version_of(models: ModelSet) -> str:
@@ -83,7 +84,7 @@ class Store:
             raise ContractError(
                 f"{path} says of no versions: {first_error(error)}; remove it to begin anew with the released networks"
             ) from None
-        if wiring.sha256 != wiring.digest():
+        if wiring.sha256 != wiring.digest(as_read=True):
             raise ContractError(f"{path} is not as it was written; remove it to begin anew with the released networks")
         return wiring
 
@@ -131,7 +132,7 @@ class Store:
         _write(fresh, text.encode())
         fresh.rename(self.home / WIRING)
         _sync(self.home)
-        kept = {wiring.active, *wiring.beside.values()}
+        kept = {wiring.active, *wiring.beside.values(), *[*wiring.rejected][-1:]}
         for path in self.home.iterdir():
             if path.is_dir() and path.name not in kept:
                 shutil.rmtree(path, ignore_errors=True)

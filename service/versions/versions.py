@@ -195,8 +195,8 @@ class Versions:
 
     # ---- learning from insertions ------------------------------------------------------------------------------------
 
-    def learn(self, answered: Beside, finished: Finished, *, fresh: bool, tried_n: int) -> None:
-        """Add an ended insertion, which may show that another version should decide.
+    def learn(self, answered: Beside, finished: Finished, of: str, *, fresh: bool, tried_n: int) -> None:
+        """Add an ended insertion ``of`` an object, which may show that another version should decide.
 
         An end that decisions cannot cause is no evidence. ``fresh``: its first attempt was the object's first;
         otherwise ``tried_n`` came before. Raises OSError where nothing can be written.
@@ -208,7 +208,7 @@ class Versions:
                 return
             held = answered.went_in() if inserted else {}
             for role, version in wiring.beside.items():
-                contest = wiring.contest(role).ended(tried_n + finished.attempts if inserted else FAILED)
+                contest = wiring.contest(role).ended(tried_n + finished.attempts if inserted else FAILED, of)
                 compared = fresh and version in answered.networks  # not one that was given meanwhile
                 for scores in answered.scores if compared else ():
                     contest = contest.scored(scores[version] - scores[wiring.active])
@@ -231,7 +231,8 @@ class Versions:
     def _promote(self, why: str) -> None:
         wiring, version = self._now.wiring, self._needed("shadow", "no version runs in shadow: give one first")
         self._store.keep(self._now.active)
-        contest = Contest(tolerated=wiring.contest("shadow").tolerates)
+        before = wiring.contest("shadow")
+        contest = Contest(tolerated=before.tolerates, tolerated_of=before.tolerates_of)
         wiring = wiring.without("shadow").with_one("previous", wiring.active, contest)
         self._change("promoted", version, why, wiring.model_copy(update={"active": version}))
 
@@ -241,7 +242,8 @@ class Versions:
         back = wiring.without("previous").model_copy(update={"active": version, "rejected": rejected})
         if shadow := back.beside.get("shadow"):  # its opponent no longer decides
             back = back.with_one("shadow", shadow, Contest())
-        self._change("rolled_back", wiring.active, why, back)
+        kept = f"its networks stay in {self._store.home / wiring.active} until the next rollback"
+        self._change("rolled_back", wiring.active, f"{why}; {kept}", back)
 
     def _needed(self, role: Role, otherwise: str) -> str:
         if role not in self._now.wiring.beside:

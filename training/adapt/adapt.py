@@ -28,7 +28,7 @@ from training.adapt.stages import (
     trainer_of,
 )
 from training.config import DataConfig
-from training.data.episodes import LATER, PROBE, cells_of, read_episodes
+from training.data.episodes import LATER, PROBE, Listed, cells_of, read_episodes, recordings_of
 from training.data.pressed import Pressed, load_pressed
 from training.fit.checkpoint import AS_TRAINED, OWN, Checkpoint
 from training.metrics.figures import Predictions, Scales, figures, joined
@@ -43,7 +43,8 @@ Held = dict[StageName, tuple[Predictions, Densities]]
 class Comparison:
     """Every stage on held-out fixtures, the best of them, and the objections to replacing the release.
 
-    ``cells``: how many of the recordings are of real cells and of simulated ones, see `cells_of`.
+    ``known_of``: how many of the compared samples are of probes and of work. ``cells``: how many of the recordings are
+    of real cells and of simulated ones, see `cells_of`. ``listed``: how many insertions of a record are there.
     """
 
     figures: dict[StageName, Figures]
@@ -51,8 +52,10 @@ class Comparison:
     objections: tuple[str, ...]
     samples_n: int
     fixtures_n: int
+    known_of: dict[str, int] = field(default_factory=dict)
     gap: Gap | None = None
     cells: dict[str, int] = field(default_factory=dict)
+    listed: Listed | None = None
 
     @property
     def accepted(self) -> bool:
@@ -72,9 +75,18 @@ class Comparison:
             ("90 % coverage yaw", "coverage90_theta", ".0%"),
         )
         conclusion = f"accepted: {self.best}" if self.accepted else f"the release stays: {'; '.join(self.objections)}"
-        held = f"{self.samples_n} first attempts of {self.fixtures_n} fixtures, every figure on fixtures held out"
+        compared = " and ".join(f"{count} of {known}" for known, count in self.known_of.items())
+        first = f"{self.samples_n} first attempts of {self.fixtures_n} fixtures ({compared})"
+        held = f"{first}, every figure on fixtures held out"
         shown = (table(rows, *columns).text(), held) if rows else ()
-        return "\n".join((*shown, *self._gap_text(), conclusion))
+        return "\n".join((*shown, *self._recordings_text(), *self._gap_text(), conclusion))
+
+    def _recordings_text(self) -> Iterable[str]:
+        if self.listed:
+            yield self.listed.text()
+        if self.cells:
+            named = {"real": "of a real cell", "simulated": "of a simulated cell", "not stated": "do not say"}
+            yield f"recordings: {', '.join(f'{count} {named[kind]}' for kind, count in self.cells.items())}"
 
     def _gap_text(self) -> Iterable[str]:
         if self.gap and self.gap.probes_n:
@@ -116,7 +128,8 @@ def adapt(
     presses = presses_around(around, release, out) if around else None
     chosen = tuple(stage for stage in stages if stage != "around" or presses)
     held = hold_out(release, samples, chosen, seed, presses)
-    comparison = replace(compare(release, samples, held, seed), gap=gap, cells=cells_of(recordings, samples))
+    cells, (_, listed) = cells_of(recordings, samples), recordings_of(recordings, record)
+    comparison = replace(compare(release, samples, held, seed), gap=gap, cells=cells, listed=listed)
     if comparison.accepted:
         _fitted(comparison, release, samples, held[comparison.best], seed, presses).save(written)
     elif written.is_file():
@@ -164,9 +177,12 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
     among = compared_on(samples)
     groups = samples.groups[among]
     fixtures_n = len(np.unique(groups))
+    known_of = {
+        known: int(count) for known, count in zip(*np.unique(samples.objects[among], return_counts=True), strict=True)
+    }
     if not held:
         few = f"{len(groups)} first attempts of {fixtures_n} fixtures, expected {FEWEST} of {FOLDS} at least"
-        return Comparison({}, "released", (few, "probe more"), len(groups), fixtures_n)
+        return Comparison({}, "released", (few, "probe more"), len(groups), fixtures_n, known_of)
     predictions = {stage: pair.take(among) for stage, (pair, _) in held.items()}
     folds = folds_of(groups, seed)
     fair = {stage: _fair(stage, release.scales, one, folds) for stage, one in predictions.items()}
@@ -177,12 +193,12 @@ def compare(release: Checkpoint, samples: Pressed, held: Held, seed: int) -> Com
     against: dict[StageName, tuple[str, ...]]
     against = {stage: tuple(to_gain(before, fair[stage], groups, seed, chance[stage])) for stage in likelier}
     if "calibration" in fair:
-        against["calibration"] = tuple(to_wider(before))
+        against["calibration"] = tuple(to_wider(before, groups))
     fallback: StageName = likelier[0] if likelier else "released"
     best = next((stage for stage in against if not against[stage]), fallback)
     objections = against.get(best, ("no stage is likelier than the release",))
     described = {stage: {**figures(one), "likelihood": loss[stage]} for stage, one in fair.items()}
-    return Comparison(described, best, objections, len(groups), fixtures_n)
+    return Comparison(described, best, objections, len(groups), fixtures_n, known_of)
 
 
 def _fair(stage: StageName, scales: Scales, predictions: Predictions | Densities, folds: list[Rows]) -> Predictions:

@@ -29,10 +29,11 @@ class Gap(NamedTuple):
     probes_n: int
 
 
-def find_gap(stated: NDArray[np.float64], estimates: NDArray[np.float64]) -> Gap:
+def find_gap(stated: NDArray[np.float64], estimates: NDArray[np.float64], grasps: NDArray[np.str_]) -> Gap:
     """Stated error [N, 2] at which the release answers 0: a line through its ``estimates`` [N, 2], pulled to 0.
 
-    0 with the sigma of USUAL on an axis that the release does not sense, or with fewer than LEAST_N probes.
+    Its sigma counts what the probes of a grasp have in common, such as how the object hangs. 0 with the sigma of USUAL
+    on an axis that the release does not sense, or with fewer than LEAST_N probes.
     """
     at, sigma = np.zeros(2), USUAL.copy()
     if len(stated) >= LEAST_N:
@@ -44,15 +45,25 @@ def find_gap(stated: NDArray[np.float64], estimates: NDArray[np.float64]) -> Gap
             gain = line[axis, axis]
             if gain < LEAST_GAIN:
                 continue
-            error = float(np.sqrt(rest[:, axis].var(ddof=3) * inverse[2, 2])) / gain
+            alike = _alike(rest[:, axis], np.unique(grasps, return_inverse=True)[1])
+            error = float(np.sqrt(alike * rest[:, axis].var(ddof=3) * inverse[2, 2])) / gain
             share = USUAL[axis] ** 2 / (USUAL[axis] ** 2 + error**2)
             at[axis], sigma[axis] = -share * line[2, axis] / gain, np.sqrt(share) * error
     return Gap((float(at[0]), float(at[1])), (float(sigma[0]), float(sigma[1])), len(stated))
 
 
+def _alike(rest: NDArray[np.float64], grasps: NDArray[np.int64]) -> float:
+    """How many times the variance of the mean is that of as many independent values (Kish 1965), at least 1."""
+    grasps_n = int(grasps.max()) + 1
+    if grasps_n == 1:
+        return float(len(rest))
+    scatter = grasps_n / (grasps_n - 1) * float(np.square(np.bincount(grasps, rest)).sum())
+    return max(1.0, scatter / float(np.square(rest).sum()))
+
+
 def framed(samples: Pressed, estimates: NDArray[np.float64]) -> tuple[Pressed, Gap]:
     """The samples with the probes' errors relative to the gap; ``estimates`` [N, 2] are the release's."""
     probes = samples.objects == PROBE
-    gap = find_gap(samples.error[probes].astype(np.float64), estimates[probes])
+    gap = find_gap(samples.error[probes].astype(np.float64), estimates[probes], samples.groups[probes])
     error = samples.error - np.where(probes[:, None], gap.at, 0.0).astype(np.float32)
     return replace(samples, error=error), gap

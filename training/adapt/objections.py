@@ -4,8 +4,9 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
-from reporting.statistics import wilson
+from reporting.statistics import clustered
 from training.adapt.stages import StageName
 from training.metrics.figures import Z90, Predictions, probabilities
 
@@ -37,15 +38,16 @@ def losses(predictions: Predictions) -> NDArray[np.float64]:
 def to_gain(
     before: Predictions, after: Predictions, groups: NDArray[np.str_], seed: int, chance: float
 ) -> Iterable[str]:
-    """Objections to a network that claims a gain: by a paired bootstrap over fixtures, each count by its mean."""
+    """Objections to a network that claims a gain: in pairs over fixtures, each count by its mean."""
     fixtures = np.unique(groups, return_inverse=True)[1]
     counts: dict[str, Callable[[Predictions], NDArray[np.float64]]] = {
         "direction": lambda one: (~one.right).astype(np.float64),
         "error in x": lambda one: np.abs(one.error - one.truth)[:, 0],
         "error in yaw": lambda one: np.abs(one.error - one.truth)[:, 1],
     }
-    gained = _means(losses(before) - losses(after), fixtures, seed)
-    if (least := float(np.quantile(gained, chance))) <= 0.0:
+    gain = losses(before) - losses(after)
+    gained = _means(gain, fixtures, seed)
+    if (least := min(float(np.quantile(gained, chance)), _least(gain, fixtures, chance))) <= 0.0:
         yield f"likelier by {gained.mean():.3f}, which may be chance ({chance:.2%} quantile {least:.3f})"
     for name, count in counts.items():
         lost = float((count(after) - count(before)).mean())
@@ -56,21 +58,28 @@ def to_gain(
             yield f"the 90 % interval of {name} holds {now:.0%} of errors, {was:.0%} before"
 
 
-def to_wider(before: Predictions) -> Iterable[str]:
+def to_wider(before: Predictions, groups: NDArray[np.str_]) -> Iterable[str]:
     """Objections to making a network less sure, no more: in x or yaw its 90 % intervals have to hold less than 90 %.
 
-    That is proven where the Wilson interval of the share that they hold ends below it.
+    That is proven where the interval of the share that they hold, with attempts of a fixture alike, ends below it.
     """
-    held = [wilson(share * len(before.truth), len(before.truth)) for share in _coverage(before).tolist()]
+    fixtures = np.unique(groups, return_inverse=True)[1]
+    counts = np.bincount(fixtures).tolist()
+    held = [clustered(np.bincount(fixtures, held).tolist(), counts) for held in _in_intervals(before).T]
     if all(share.high >= 0.9 for share in held):
         in_x, in_yaw = (f"{share:.0%}" for share in held)
         yield f"its 90 % intervals hold {in_x} of errors in x and {in_yaw} in yaw, which may be chance"
 
 
+def _in_intervals(predictions: Predictions) -> NDArray[np.bool_]:
+    """[N, 2]: which errors the 90 % intervals hold, in x and in yaw."""
+    off = np.abs(predictions.error - predictions.truth)
+    return np.asarray(off <= Z90 * np.exp(predictions.log_sigma))
+
+
 def _coverage(predictions: Predictions) -> NDArray[np.float64]:
     """Share of errors in the 90 % intervals, in x and in yaw."""
-    off = np.abs(predictions.error - predictions.truth)
-    return np.asarray((off <= Z90 * np.exp(predictions.log_sigma)).mean(0), np.float64)
+    return np.asarray(_in_intervals(predictions).mean(0), np.float64)
 
 
 def _means(values: NDArray[np.float64], fixtures: NDArray[np.int64], seed: int) -> NDArray[np.float64]:
@@ -79,3 +88,11 @@ def _means(values: NDArray[np.float64], fixtures: NDArray[np.int64], seed: int) 
     total = np.bincount(fixtures, values)
     drawn = np.random.default_rng(seed).integers(0, len(count), (DRAWS, len(count)))
     return np.asarray(total[drawn].sum(1) / count[drawn].sum(1), np.float64)
+
+
+def _least(values: NDArray[np.float64], fixtures: NDArray[np.int64], chance: float) -> float:
+    """A mean that is not reached by that chance: Student's t over fixtures, as a bootstrap of few errs too often."""
+    count = np.bincount(fixtures)
+    off = np.bincount(fixtures, values - values.mean())  # of a fixture in all
+    error = np.sqrt(np.square(off).sum() * len(count) / (len(count) - 1)) / len(values)
+    return float(values.mean() + stdtrit(len(count) - 1, chance) * error)

@@ -120,7 +120,7 @@ def adapt(
         out: folder of the new checkpoint.pt; `tactile-insertion export` makes a model folder of it.
         around: dataset of simulated presses of the cell's objects, from `collect --around`, for one more stage.
         record: record of the cell's commissioning; of all probes only those that it lists count, and not those before
-            a mistake was repaired, or with another gel.
+            a mistake was repaired, or with another gel. Nor does work before them.
         json: file for the verdict as data.
         seed: seed of folds and batches.
     """

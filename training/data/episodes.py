@@ -11,6 +11,7 @@ import hashlib
 import json
 import zipfile
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,17 +45,31 @@ class Attempt(NamedTuple):
     fixture: str
 
 
+@dataclass(frozen=True)
+class Listed:
+    """Of ``listed_n`` insertions that the record of a commissioning lists, ``present_n`` are in the folder ``root``.
+
+    ``earlier_n`` recordings of work are older than all of these.
+    """
+
+    root: str
+    listed_n: int
+    present_n: int
+    earlier_n: int
+
+    def text(self) -> str:
+        skipped = f", {self.earlier_n} recordings of earlier work are skipped" if self.earlier_n else ""
+        return f"{self.present_n} of {self.listed_n} listed insertions are in {self.root}{skipped}"
+
+
 def read_episodes(root: Path, sensor: Sensor, record: Path | None = None) -> Pressed:
     """All attempts below ``root`` with a known error, in order of time, as training samples.
 
-    ``record`` of a commissioning: of all probes, only those that it lists. Raises ContractError where there is none,
-    where an attempt was recorded on another lattice or under other conditions, or where a recording is there twice.
+    ``record`` of a commissioning: see `recordings_of`. Raises ContractError where there is none, where an attempt was
+    recorded on another lattice or under other conditions, or where a recording is there twice.
     """
-    if not root.is_dir():
-        raise ContractError(f"{root}: no such folder, expected one with recordings")
-    folders = sorted(path.parent for path in root.glob("*/summary.json"))
-    listed = None if record is None else _listed(record)
-    attempts = [attempt for folder in folders for attempt in _attempts(folder, listed)]
+    folders, _ = recordings_of(root, record)
+    attempts = [attempt for folder in folders for attempt in _attempts(folder)]
     if not attempts:
         raise ContractError(
             f"{root}: {len(folders)} recordings and no attempt whose error is known; expected probes or insertions that"
@@ -62,6 +77,31 @@ def read_episodes(root: Path, sensor: Sensor, record: Path | None = None) -> Pre
         )
     _refuse_copies(root, attempts)
     return pressed_of(attempts, sensor)
+
+
+def recordings_of(root: Path, record: Path | None = None) -> tuple[list[Path], Listed | None]:
+    """The recordings below ``root``, in order of time; those that a ``record``, if given, vouches for.
+
+    Of all probes these are the listed ones. Work before them was of another setting, maybe with another gel. The names
+    of recordings tell the order: the record's own time is of another clock.
+
+    Raises ContractError without such a folder, or where it holds none of those probes.
+    """
+    if not root.is_dir():
+        raise ContractError(f"{root}: no such folder, expected one with recordings")
+    folders = sorted(path.parent for path in root.glob("*/summary.json"))
+    if record is None:
+        return folders, None
+    listed, summaries = _listed(record), {folder: _summary(folder) for folder in folders}
+    probes = {folder: str(of.get("insertion_id")) for folder, of in summaries.items() if of.get("purpose") == PROBE}
+    present = {folder: name for folder, name in probes.items() if name in listed}
+    if not present:
+        held = f"which holds {len(probes)} other probes among {len(folders)} recordings"
+        raise ContractError(f"{root}, {held}, holds none of the {len(listed)} insertions that {record} lists")
+    work = [folder for folder in folders if folder not in probes]
+    later = [folder for folder in work if folder > min(present)]
+    there = Listed(str(root), len(listed), len({*present.values()}), len(work) - len(later))
+    return sorted([*present, *later]), there
 
 
 def cells_of(root: Path, samples: Pressed) -> dict[str, int]:
@@ -117,9 +157,19 @@ def _listed(record: Path) -> frozenset[str]:
     return listed
 
 
-def _attempts(folder: Path, listed: frozenset[str] | None) -> Iterator[Attempt]:
+def _summary(folder: Path) -> dict[str, Any]:
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        if not isinstance(summary, dict):
+            raise TypeError("its summary is no object")
+    except (OSError, ValueError, TypeError) as error:
+        raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
+    return summary
+
+
+def _attempts(folder: Path) -> Iterator[Attempt]:
+    summary = _summary(folder)
+    try:
         shown = {int(path.stem[-2:]): _shown(path) for path in sorted(folder.glob("attempt_[0-9][0-9].npz"))}
         moves = _moves(summary, shown)
         errors = _errors(summary, moves)
@@ -128,8 +178,6 @@ def _attempts(folder: Path, listed: frozenset[str] | None) -> Iterator[Attempt]:
     except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
         raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
     probe = summary.get("purpose") == "probe"
-    if probe and listed is not None and summary.get("insertion_id") not in listed:
-        return
     first = PROBE if probe else LATER if summary.get("continues") else WORK
     for index, (number, off) in enumerate(zip(moves, errors, strict=False)):
         inputs, _ = shown.get(number, (None, None))

@@ -27,7 +27,8 @@ MAX_GRADIENT = 1.0
 class Stage:
     """The subject of a stage.
 
-    ``batches`` of an epoch, ``loss`` of one batch, ``validate`` -> scalars; the lowest ``score`` wins.
+    ``batches`` of an epoch, ``loss`` of one batch, ``validate`` -> scalars; the lowest ``score`` wins. ``basis_of`` are
+    files beside its state that rest on its result: removed where it is trained on, so that they are made anew.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Stage:
     batches_per_epoch: int
     loss: Callable[[Any], Tensor]
     validate: Callable[[], dict[str, float]]
+    basis_of: tuple[str, ...] = ()
 
 
 @dataclass
@@ -63,8 +65,9 @@ def _rate(step: int, total: int) -> float:
 def fit(network: nn.Module, stage: Stage, folder: Path, seed: int) -> dict[str, float]:
     """Train one stage and leave ``network`` at its best epoch; resumes from ``folder`` if it holds this stage.
 
-    Appends a JSON line per epoch to ``log.jsonl`` there. Returns the scalars of the best validation. Raises
-    ContractError on a non-finite loss or a foreign checkpoint.
+    Appends a JSON line per epoch to ``log.jsonl`` there. A stage that was cut by `max_minutes` goes on if they are more
+    now. Returns the scalars of the best validation and ``epochs``, those trained in all calls. Raises ContractError on
+    a non-finite loss or a foreign checkpoint.
     """
     config = stage.config
     optimiser = torch.optim.AdamW(stage.parameters, lr=config.learning_rate, weight_decay=config.weight_decay)
@@ -78,6 +81,8 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int) -> dict[str, 
     with Progress(*columns) as progress:
         task = progress.add_task(stage.name, total=total, completed=at.epoch * stage.batches_per_epoch, note="")
         while not at.over(config):
+            for name in stage.basis_of:
+                (folder / name).unlink(missing_ok=True)
             rng = np.random.default_rng([seed, at.epoch])
             torch.manual_seed(seed * 1000 + at.epoch)
             loss = _epoch(network, stage, optimiser, schedule, rng, lambda: progress.advance(task))
@@ -93,7 +98,7 @@ def fit(network: nn.Module, stage: Stage, folder: Path, seed: int) -> dict[str, 
         print(f"{stage.name}: ENDED EARLY {after}")
     if at.best_state:
         network.load_state_dict(at.best_state)
-    return _validate(network, stage)
+    return _validate(network, stage) | {"epochs": at.epoch}
 
 
 def _epoch(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import JsonValue
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -50,15 +51,16 @@ def _train(
     config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], digest: str, device: torch.device
 ) -> Checkpoint:
     pair = AlexNetPair(NETWORK, len(CLASSES)).to(device)
+    epochs: dict[str, JsonValue] = {}
     if config.imagenet:
         for network in (pair.direction, pair.magnitude):
             load_imagenet(network, Path(config.imagenet))
     else:
-        _pretrain(config, source, table, pair)
+        epochs["convolutions"] = _pretrain(config, source, table, pair)
     rows = load_rows(config, source, table, pair.direction)
-    _fit_heads(config, "direction", pair.direction, rows)
-    _fit_heads(config, "magnitude", pair.magnitude, rows)
-    return finish(config, pair.cpu(), rows, digest)
+    epochs["direction"] = _fit_heads(config, "direction", pair.direction, rows)
+    epochs["magnitude"] = _fit_heads(config, "magnitude", pair.magnitude, rows)
+    return finish(config, pair.cpu(), rows, digest, epochs)
 
 
 # ---- convolutions --------------------------------------------------------------------------------------------------
@@ -77,8 +79,11 @@ class _FieldReader(nn.Module):
         return field
 
 
-def _pretrain(config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], pair: AlexNetPair) -> None:
-    """Difference frame -> change of the marker field, on training trials; both networks then start from the result."""
+def _pretrain(config: RecipeConfig, source: Source, table: dict[str, NDArray[Any]], pair: AlexNetPair) -> int:
+    """Difference frame -> change of the marker field, on training trials; both networks then start from the result.
+
+    Returns the number of epochs.
+    """
     reader = _FieldReader(pair.direction, int(np.prod(table["fields"].shape[3:]))).to(pair.direction.device)
     chosen = chosen_trials(table, "train", config.pretraining_trials)
     held = chosen_trials(table, "validation", max(8, config.pretraining_trials // 10))
@@ -103,9 +108,11 @@ def _pretrain(config: RecipeConfig, source: Source, table: dict[str, NDArray[Any
         batches_per_epoch=-(-len(chosen) // 2),
         loss=lambda example: functional.mse_loss(reader(example[0]), example[1]),
         validate=validate,
+        basis_of=("features.done", "direction.resume.pt", "magnitude.resume.pt"),
     )
-    print("convolutions", fit(reader, stage, config.folder, config.seed))
+    print("convolutions", scalars := fit(reader, stage, config.folder, config.seed))
     pair.magnitude.alexnet.features.load_state_dict(pair.direction.alexnet.features.state_dict())
+    return int(scalars["epochs"])
 
 
 def _field_examples(source: Source, table: dict[str, NDArray[Any]], trial: int, scale: Tensor) -> tuple[Tensor, Tensor]:
@@ -120,8 +127,8 @@ def _field_examples(source: Source, table: dict[str, NDArray[Any]], trial: int, 
 # ---- heads ---------------------------------------------------------------------------------------------------------
 
 
-def _fit_heads(config: RecipeConfig, role: str, network: AlexNetLstm, rows: Rows) -> None:
-    """Train all layers after the frozen convolutions, on classes or on errors."""
+def _fit_heads(config: RecipeConfig, role: str, network: AlexNetLstm, rows: Rows) -> int:
+    """Train all layers after the frozen convolutions, on classes or on errors; returns the number of epochs."""
     for parameter in network.alexnet.features.parameters():
         parameter.requires_grad = False
     parts = (network.alexnet.classifier, network.lstm, network.output)
@@ -147,7 +154,8 @@ def _fit_heads(config: RecipeConfig, role: str, network: AlexNetLstm, rows: Rows
         return {"score": sum(losses) / len(held)}
 
     stage = Stage(role, settings, parameters, batches, -(-len(train) // settings.batch), loss, validate)
-    print(role, fit(network, stage, config.folder, config.seed))
+    print(role, scalars := fit(network, stage, config.folder, config.seed))
+    return int(scalars["epochs"])
 
 
 def _batch(rows: Rows, chosen: NDArray[np.int64]) -> Tensor:
@@ -157,7 +165,9 @@ def _batch(rows: Rows, chosen: NDArray[np.int64]) -> Tensor:
 # ---- figures -------------------------------------------------------------------------------------------------------
 
 
-def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> Checkpoint:
+def finish(
+    config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str, epochs: dict[str, JsonValue]
+) -> Checkpoint:
     """Constant spread and calibration from validation, figures of every split, checkpoint."""
     pair.eval()
     held = _predict(pair, rows, rows.of("validation"))
@@ -179,7 +189,7 @@ def finish(config: RecipeConfig, pair: AlexNetPair, rows: Rows, digest: str) -> 
         figures=tables,
         training_data_sha256=digest,
         git_commit=commit(),
-        run=config.settings(),
+        run=config.settings() | {"epochs_trained": epochs},
         sensor=rows.sensor,
     )
     checkpoint.save(config.folder / "checkpoint.pt")

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import JsonValue
 from torch import Tensor
 from torch.nn import functional
 
@@ -178,10 +179,12 @@ def _train(trainer: Trainer, folder: Path) -> Checkpoint:
     for stage, split in product(stages, ("train", "validation")):  # before any has trained for hours
         if stage.name != "trunk" and not len(trainer.trials.of(split, rendered=True)):
             raise ContractError(f"stage {stage.name} needs rendered {split} trials; see data.rendered_*")
+    epochs: dict[str, JsonValue] = {}
     for stage in stages:
         scalars = fit(trainer.network, stage, folder, trainer.config.seed)
         print(stage.name, {name: round(value, 4) for name, value in scalars.items()})
-    return _finish(trainer, folder)
+        epochs[stage.name] = int(scalars["epochs"])
+    return _finish(trainer, folder, epochs)
 
 
 def _prepare(config: RunConfig, trials: Samples, device: torch.device) -> Trainer:
@@ -220,6 +223,7 @@ def _stages(trainer: Trainer) -> list[Stage]:
         batches_per_epoch=-(-len(everything) // config.trunk.batch),
         loss=trainer.trunk_loss,
         validate=lambda: trainer.score(held, pictures=False),
+        basis_of=("tune.resume.pt",),
     )
     if network.front is None or isinstance(trials, Pressed):
         return [trunk]
@@ -231,6 +235,7 @@ def _stages(trainer: Trainer) -> list[Stage]:
         batches_per_epoch=-(-len(drawn) // max(1, config.front.batch // 8)),
         loss=trainer.front_loss,
         validate=lambda: trainer.front_score(held_drawn),
+        basis_of=("trunk.resume.pt", "tune.resume.pt"),
     )
     tune = Stage(
         "tune",
@@ -244,7 +249,7 @@ def _stages(trainer: Trainer) -> list[Stage]:
     return [front, trunk, tune]
 
 
-def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
+def _finish(trainer: Trainer, folder: Path, epochs: dict[str, JsonValue]) -> Checkpoint:
     """Calibrate on validation, score every split (on pictures where there are any), save; on the CPU, as released."""
     trainer.network.cpu()
     pictures = len(trainer.trials.of("validation", rendered=True)) > 0
@@ -265,7 +270,7 @@ def _finish(trainer: Trainer, folder: Path) -> Checkpoint:
         figures={f"{true}{name}": row for name, row in tables.items()},
         training_data_sha256=trainer.trials.sha256,
         git_commit=commit(),
-        run=trainer.config.settings(),
+        run=trainer.config.settings() | {"epochs_trained": epochs},
         sensor=trainer.trials.sensor,
         pressing=pressing,
         expectations=expectations,

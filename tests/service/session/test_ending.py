@@ -210,10 +210,10 @@ class OtherVersions:
         self.asked.append(deciding)
         return SimpleNamespace(active="a", decide=lambda _: {})
 
-    def learn(self, _beside: Any, finished: wire.Finished, *, fresh: bool, tried_n: int) -> None:
+    def learn(self, _beside: Any, finished: wire.Finished, of: str, *, fresh: bool, tried_n: int) -> None:
         if self.fails:
             raise OSError("disk")
-        self.learnt.append((finished.insertion_id, fresh))
+        self.learnt.append((finished.insertion_id, of, fresh))
         assert tried_n == 0
 
 
@@ -226,9 +226,10 @@ def test_the_version_that_decides_now_begins_an_insertion_and_the_one_before_goe
     cell.ends("one", arm())
     versions.active = second
     cell.ends("two", continues="one")
-    cell.ends("three")
+    here = wire.ToolPose(x_mm=0, y_mm=0, z_mm=0, yaw_deg=0)
+    cell.ends("three", wire.Episode(insertion_id="three", object="box", start=here, approach=here))
     assert [id(deciding) for deciding in versions.asked] == [id(first), id(first), id(second)]
-    assert versions.learnt == [("one", True), ("two", False), ("three", True)]
+    assert versions.learnt == [("one", "", True), ("two", "", False), ("three", "box", True)]
     versions.fails = True
     assert cell.ends("four").heard[-1].type == "finished"
     assert ("error", "versions: disk") in cell.events

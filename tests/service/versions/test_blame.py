@@ -24,7 +24,7 @@ def failures(folder: Path, cause: Any, doubted: tuple[Any, ...]) -> int:
         doubts = tuple(wire.Doubt(reason=reason, detail="so it is") for reason in doubted)
         outcome: Any = "not_confirmed" if cause == "not_confirmed" else "failed"
         end = wire.Finished(insertion_id="one", outcome=outcome, attempts=2, cause=cause, doubts=doubts)
-        versions.learn(beside, end, fresh=True, tried_n=0)
+        versions.learn(beside, end, "box", fresh=True, tried_n=0)
         previous = versions.state().previous
         assert previous is not None
         return previous.ended_n

@@ -24,7 +24,7 @@ def work(
 ) -> Contest:
     """One insertion of so many ``attempts`` on the mean; scores differ by ``better`` on the mean."""
     tried = min(FAILED, int(rng.geometric(1 / attempts)))
-    contest = contest.ended(tried)
+    contest = contest.ended(tried, "box")
     if tried in {1, FAILED}:
         return contest
     gain = float(np.clip(better + 0.5 * rng.standard_t(3), -WORST, WORST))
@@ -34,7 +34,7 @@ def work(
 
 def insertions_until(role, most_n: int, rng: Rng, start: Contest | None = None, **cell: float) -> float:
     """After how many insertions the version beside would decide; infinite if not within ``most_n``."""
-    contest = start or Contest(tolerated=2.75)
+    contest = start or Contest(tolerated_of={"box": 2.75})
     for number in range(1, most_n + 1):
         contest = work(contest, rng, **cell)
         if contest.worth(role) >= ENOUGH:
@@ -102,7 +102,7 @@ def test_what_it_is_for_is_noticed(role, cell: dict[str, float], median_n: int) 
 
 def test_what_turns_after_a_thousand_good_insertions_is_noticed_too() -> None:
     rng = np.random.default_rng(5)
-    contest = Contest(tolerated=2.75)
+    contest = Contest(tolerated_of={"box": 2.75})
     for _ in range(1000):
         contest = work(contest, rng)
     assert contest.worth("previous") < 1.0
@@ -112,9 +112,52 @@ def test_what_turns_after_a_thousand_good_insertions_is_noticed_too() -> None:
 def test_a_cell_that_always_took_long_is_not_blamed_on_the_new_version() -> None:
     contest = Contest()
     for _ in range(100):
-        contest = contest.ended(6)
+        contest = contest.ended(6, "box")
     assert contest.tolerates == pytest.approx(6.6)
     assert Contest().tolerates == pytest.approx(5.0)
+
+
+def promoted_after(*packed: tuple[str, float, int], rng: Rng) -> Contest:
+    """The contest of a version promoted after so many insertions of each object, with so many attempts on the mean."""
+    before = Contest()
+    for of, attempts, count in packed:
+        for tried in rng.geometric(1 / attempts, count):
+            before = before.ended(min(FAILED, int(tried)), of)
+    return Contest(tolerated=before.tolerates, tolerated_of=before.tolerates_of)
+
+
+def slowed(contest: Contest, of: str, attempts: float, most_n: int, rng: Rng) -> bool:
+    """Whether such insertions roll the version back."""
+    for tried in rng.geometric(1 / attempts, most_n):
+        contest = contest.ended(min(FAILED, int(tried)), of)
+        if contest.worth("previous") >= ENOUGH:
+            return True
+    return False
+
+
+def test_another_product_that_needs_more_attempts_is_not_blamed_on_the_new_version() -> None:
+    rng, runs_n = np.random.default_rng(6), 60
+    hexagons = ("hexagon", 1.78, 200)
+    back_n = sum(slowed(promoted_after(hexagons, rng=rng), "white box", 3.59, 250, rng) for _ in range(runs_n))
+    assert back_n <= runs_n / ENOUGH
+    slow = promoted_after(("hexagon", 6.0, 200), rng=rng)
+    assert slow.tolerated_of.keys() == {"hexagon"}
+    assert slow.ended(6, "new").slow.worth < 1.0, "nor are they fewer for it than for what the cell packed"
+    few = promoted_after(hexagons, ("white box", 1.2, 20), rng=rng)
+    assert few.tolerated_of.keys() == {"hexagon"}, "20 insertions tell too little"
+
+
+def test_more_attempts_for_a_known_object_are_noticed_although_another_needs_as_many() -> None:
+    rng, runs_n = np.random.default_rng(7), 20
+    both = ("hexagon", 1.78, 200), ("white box", 3.59, 200)
+    assert sum(slowed(promoted_after(*both, rng=rng), "hexagon", 3.59, 250, rng) for _ in range(runs_n)) == runs_n
+
+
+def test_a_client_that_names_each_object_differently_fills_no_disk() -> None:
+    contest = Contest()
+    for number in range(100):
+        contest = contest.ended(2, f"number {number}")
+    assert (len(contest.by_object), contest.ended_n) == (32, 100)
 
 
 def evidence(error: tuple[float, float], sigma: tuple[float, float]) -> Evidence:

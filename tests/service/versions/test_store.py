@@ -100,6 +100,26 @@ def test_an_edited_wiring_and_an_exchanged_version_are_refused(tmp_path: Path, t
         Versions(home, load_models(three[0]), quiet)
 
 
+def test_the_wiring_of_an_earlier_release_counted_no_objects_and_is_read(tmp_path: Path) -> None:
+    bet = '{"taken_n":0,"capital":[0.0,0.0,0.0,0.0]}'
+    bets = f'"score":{bet},"covers":[{bet},{bet}],"misses":[{bet},{bet}],"slow":{bet}'
+    contest = f'{{"scored_n":0,"ended_n":3,"attempts_n":7,"tolerated":1.96,{bets}}}'
+    roles = f'"beside":{{"previous":"a"}},"contests":{{"previous":{contest}}},"rejected":{{}}'
+    digest = "69961a9ae0dccfacf3656d401f603919580ba6f848a5e882fed50d81bf37b9ea"
+    (tmp_path / WIRING).write_text(f'{{"schema_version":1,"released":"a","active":"b",{roles},"sha256":"{digest}"}}')
+    with contextlib.closing(Store(tmp_path)) as store:
+        read = store.open()
+        assert read is not None
+        assert read.contest("previous").attempts_n == 7
+        assert read.contest("previous").ended(4, "box").slow.worth < 1.0, "what the box took before is not known"
+        store.wire(read)
+        assert store.open() == read.model_copy(update={"sha256": read.digest()})
+        text = (tmp_path / WIRING).read_text()
+        (tmp_path / WIRING).write_text(text.replace('"attempts_n": 7', '"attempts_n": 8'))
+        with pytest.raises(ContractError, match="is not as it was written"):
+            store.open()
+
+
 def test_a_lost_version_beside_is_left_out_and_the_active_one_goes_on(tmp_path: Path, three: list[Path]) -> None:
     home = tmp_path / "versions"
     versions = promoted(home, three)
@@ -177,6 +197,27 @@ def test_the_log_has_a_line_for_networks_that_only_guess_whether_they_decide_or_
     with structlog.testing.capture_logs() as restarted:
         Versions(tmp_path / "other", load_models(three[0]), quiet).close()
     assert restarted == [line for line in lines if "caution" in line]
+
+
+def test_networks_that_were_rolled_back_stay_until_the_next_rollback_and_the_event_says_where(
+    tmp_path: Path, three: list[Path]
+) -> None:
+    home, events = tmp_path / "versions", list[dict[str, str]]()
+    versions = Versions(home, load_models(three[0]), lambda _, event: events.append(event))
+    first, second = (version_of(load_models(folder)) for folder in three[1:])
+    with contextlib.closing(versions):
+        versions.give(three[1])
+        versions.promote()
+        versions.roll_back()
+        assert version_of(load_models(home / first)) == first
+        assert events[-1]["why"] == f"by hand; its networks stay in {home / first} until the next rollback"
+        assert versions.state().rejected == {first: "by hand"}
+        versions.give(three[2])
+        versions.promote()
+        assert (home / first).is_dir()
+        versions.roll_back()
+        assert not (home / first).exists()
+        assert version_of(load_models(home / second)) == second
 
 
 def test_two_services_do_not_share_their_versions(tmp_path: Path, three: list[Path]) -> None:

@@ -1,15 +1,18 @@
 """A cell that is off is learnt; noise never makes a surer network."""
 
+import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from service.contract import ContractError, Sensor
+from service.contract.toml import toml_text
 from tests.training.conftest import PRESSING, tiny
 from tests.training.data.test_episodes import recorded
 from tests.training.data.test_pressed import down
-from training.adapt.adapt import adapt, compare, hold_out
+from training.adapt.adapt import adapt, compare, hold_out, report
 from training.adapt.stages import calibrated
 from training.data.episodes import PROBE, WORK, read_episodes
 from training.data.labels import class_of
@@ -141,6 +144,26 @@ def test_too_few_probes_leave_the_release_and_none_are_an_error(release, tmp_pat
     assert "held out" not in few.text(), "no figure is shown"
     with pytest.raises(ContractError, match="expected"):
         adapt(recorded(tmp_path / "none", 0), release, tmp_path / "out")
+
+
+def test_the_text_names_what_was_compared_on_and_which_recordings_are_there(release, tmp_path):
+    root, record = recorded(tmp_path / "cell", 24), tmp_path / "commissioning.toml"
+    probes = [{"insertion_id": f"{index:04d}"} for index in range(4, 30)]
+    record.write_text(toml_text({"named": [], "signs": [], "probes": probes}))
+    for path in root.glob("001*/summary.json"):
+        path.write_text(json.dumps({**json.loads(path.read_text()), "simulated": True}))
+    recorded(root, 30, seed=1, work=True, first=24)
+    made = adapt(root, release, tmp_path / "out", record=record, stages=("gain",))
+    assert made.known_of == {"probe": 20}
+    printed = made.text()
+    assert "20 first attempts of 20 fixtures (20 of probe), every" in printed
+    assert f"\n20 of 26 listed insertions are in {root}\n" in printed
+    assert "\nrecordings: 10 of a simulated cell, 40 do not say\n" in printed
+    plain = json.loads(json.dumps(report(made)))
+    assert (plain["known_of"], plain["listed"]["present_n"], plain["cells"]["simulated"]) == ({"probe": 20}, 20, 10)
+    shutil.rmtree(root / "0010")
+    few = adapt(root, release, tmp_path / "out", record=record, stages=("gain",))
+    assert "49 first attempts of 49 fixtures (19 of probe and 30 of work), every" in few.text()
 
 
 def test_a_checkpoint_of_an_earlier_run_does_not_pass_for_one_that_was_not_accepted(release, tmp_path):

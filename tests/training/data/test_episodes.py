@@ -8,7 +8,7 @@ import pytest
 
 from service.contract import ContractError, Sensor
 from service.contract.toml import toml_text
-from training.data.episodes import cells_of, read_episodes
+from training.data.episodes import cells_of, read_episodes, recordings_of
 from training.networks.pressing import LATTICE
 
 CONDITIONS = np.array([56, 30, 20, 0, 10, 0.3], np.float32)
@@ -195,11 +195,36 @@ def test_of_all_probes_only_those_count_that_the_record_of_a_commissioning_lists
 
     listed = [{"insertion_id": "0001"}, {"insertion_id": "0004"}]
     assert read(signs=listed[:1], probes=listed[1:]).groups.tolist() == ["0001", "0004"]
+    assert read(signs=listed, probes=[{"insertion_id": "gone"}]).groups.tolist() == ["0001", "0004"]
+    with pytest.raises(ContractError, match=r"5 other probes among 5 .* none of the 1 insertions that .*\.toml lists"):
+        read(signs=[{"insertion_id": "gone"}])
+    recorded(tmp_path / "runs", 2, work=True, first=5)
+    with pytest.raises(ContractError, match=r"5 other probes among 7 .* none of the 1 insertions that .*\.toml lists"):
+        read(signs=[{"insertion_id": "gone"}])
     with pytest.raises(ContractError, match="names mistakes, and its probes have wrong labels: x reversed"):
         read(signs=listed, named=["x reversed"])
     record.write_text("")
     with pytest.raises(ContractError, match="is no record of a commissioning"):
         read_episodes(tmp_path / "runs", Sensor.load(), record)
+
+
+def test_work_before_the_listed_probes_was_perhaps_done_with_another_gel_and_teaches_nothing(tmp_path):
+    for name, purpose in (("a", False), ("b", True), ("c", False), ("d", True), ("e", True), ("f", False)):
+        recorded(tmp_path / name, 1, seed=ord(name), work=not purpose)
+        (tmp_path / name / "0000").rename(tmp_path / f"2026010{ord(name) - ord('a')}T000000_{name}")
+        (tmp_path / name).rmdir()
+        summary = tmp_path / f"2026010{ord(name) - ord('a')}T000000_{name}" / "summary.json"
+        summary.write_text(json.dumps({**json.loads(summary.read_text()), "insertion_id": name}))
+    record = tmp_path / "commissioning.toml"
+    listed = [{"insertion_id": name} for name in "dex"]
+    record.write_text(toml_text({"named": [], "begun": "2030-01-01T00:00:00", "signs": listed, "probes": []}))
+    read = read_episodes(tmp_path, Sensor.load(), record)
+    assert [name[-1] for name in read.groups.tolist()] == ["d", "e", "f"]
+    _, there = recordings_of(tmp_path, record)
+    assert there is not None
+    expected = f"2 of 3 listed insertions are in {tmp_path}, 2 recordings of earlier work are skipped"
+    assert there.text() == expected
+    assert len(read_episodes(tmp_path, Sensor.load())) == 6, "without a record all count"
 
 
 def test_an_unseen_point_counts_for_nothing(tmp_path):

@@ -79,6 +79,20 @@ def test_a_stage_that_ended_early_is_not_trained_on_by_a_second_call(tmp_path, l
     assert ("toy: ENDED EARLY after 1 of 5 epochs" in capsys.readouterr().out) == ("max_minutes" in limit)
 
 
+def test_a_run_that_was_cut_by_the_clock_says_so_and_goes_on_with_more_minutes_to_the_same_weights(
+    trained, config, source
+):
+    whole, kept = trained[1], config.folder / "checkpoint.pt"
+    cut = {"max_minutes": 1e-9}
+    short = {stage: getattr(config, stage).model_copy(update=cut) for stage in ("front", "trunk", "tune")}
+    train(config.model_copy(update=short), source)
+    assert Checkpoint.load(kept).run["epochs_trained"] == {"front": 1, "trunk": 1, "tune": 1}
+    went_on = train(config, source)
+    assert went_on.run["epochs_trained"] == whole.run["epochs_trained"] == {"front": 2, "trunk": 2, "tune": 2}
+    assert all(torch.allclose(whole.weights[name], went_on.weights[name], atol=1e-6) for name in whole.weights)
+    assert train(config, source).weights_sha256() == went_on.weights_sha256()
+
+
 @pytest.mark.parametrize("lost", ["optimiser", "schedule", "minutes"])
 def test_a_stage_does_not_go_on_from_half_of_its_state(tmp_path, lost):
     network = torch.nn.Linear(1, 1)

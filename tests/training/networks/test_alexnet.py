@@ -139,6 +139,7 @@ def test_the_recipe_trains_resumes_and_keeps_both_networks(tmp_path):
     first = train_recipe(config, source)
     again = train_recipe(config, source)
     assert first.figures == again.figures
+    assert again.run["epochs_trained"] == {"convolutions": 1, "direction": 1, "magnitude": 1}
     with pytest.raises(ContractError, match="another config"):
         train_recipe(config.model_copy(update={"data": "other probes"}), source)
     pair = Checkpoint.load(config.folder / "checkpoint.pt").build()
