@@ -44,24 +44,27 @@ def release(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stages", [("calibration", "gain"), ("calibration", "gain", "all")])
-def test_a_cell_that_is_off_is_learnt_from_work(release, tmp_path, stages):
+def test_work_of_a_cell_that_is_off_makes_a_network_that_knows_how_much_it_errs(release, tmp_path, stages):
+    """Its errors are drawn by the release, so they shrink less than the cell is off (decision 164)."""
     comparison = adapt(recorded(tmp_path / "runs", 80, off_mm=6.0, work=True), release, tmp_path / "out", stages=stages)
     assert comparison.accepted, comparison.text()
     before, after = comparison.figures["released"], comparison.figures[comparison.best]
-    assert after["mae_x_mm"] < 0.8 * before["mae_x_mm"]
+    assert after["mae_x_mm"] <= before["mae_x_mm"]
+    assert before["coverage90_x"] < 0.7, "otherwise this tests nothing"
     assert after["coverage90_x"] > 0.8
     made = Checkpoint.load(tmp_path / "out" / "checkpoint.pt")
     assert made.run["adapted"]["stage"] == comparison.best
     assert made.run["adapted"]["cells"] == {"not stated": 80}
     assert made.figures["validation/all"] == after, "not those of the release"
     assert made.as_trained == Checkpoint.load(release).figures["validation/all"]
-    assert made.figures["joint/validation/all"]["mae_x_mm"] < 0.8 * before["mae_x_mm"]
+    assert made.figures["joint/validation/all"]["mae_x_mm"] < 1.05 * before["mae_x_mm"]
     with pytest.raises(ContractError, match="was adapted to 80 of these recordings"):
         adapt(tmp_path / "runs", tmp_path / "out" / "checkpoint.pt", tmp_path / "again")
     assert made.weights_sha256() != Checkpoint.load(release).weights_sha256() or comparison.best == "calibration"
     fresh = read_episodes(recorded(tmp_path / "fresh", 40, off_mm=6.0, seed=1, work=True), made.sensor)
     again, was = (compared(one, fresh).figures["released"] for one in (made, Checkpoint.load(release)))
-    assert again["mae_x_mm"] < 0.8 * was["mae_x_mm"]
+    assert again["mae_x_mm"] <= was["mae_x_mm"]
+    assert again["coverage90_x"] > max(0.8, was["coverage90_x"])
 
 
 def test_presses_around_a_cell_teach_what_few_probes_only_confirm(release, tmp_path):
