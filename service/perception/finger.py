@@ -53,6 +53,7 @@ class TactileFinger:
         self._rearm = False
         self._held = False
         self._stopped = False
+        self._other = False  # whether the open gel was refused as another one
 
     def rearm(self) -> None:
         """The next frame becomes the reference of slip and onset; tracking continues."""
@@ -66,7 +67,7 @@ class TactileFinger:
         calibrated one is refused: a swapped camera looks right by itself.
         """
         image, _ = self._rectified(frame)
-        tracker = MarkerTracker()
+        self._other, tracker = False, MarkerTracker()
         field = tracker.update(image, frame.captured_ns)
         try:
             self._open.learn(field, shrunk(image))
@@ -76,13 +77,14 @@ class TactileFinger:
         known = compared(self._measured, image, field)
         self.gel_distance = None if known.alike is None else 1.0 - known.alike
         why = unlike(known)
+        self._other = bool(why)
         if not why:
             self._tracker = tracker
         return why
 
     def explain(self, frame: TactileFrame) -> str:
-        """Why a frame does not show the gel that the camera was calibrated with; takes as long as learning it."""
-        return cause(self._beside, frame.pixels)
+        """Why the frame refused last does not show the calibrated gel, or ""; takes as long as learning it."""
+        return cause(self._beside, frame.pixels) if self._other else ""
 
     def forget_open(self) -> None:
         """What was learnt as the open gel was none: only its print can tell whether it is touched."""

@@ -100,7 +100,8 @@ def recordings_of(root: Path, record: Path | None = None) -> tuple[list[Path], L
         raise ContractError(f"{root}, {held}, holds none of the {len(listed)} insertions that {record} lists")
     work = [folder for folder in folders if folder not in probes]
     later = [folder for folder in work if folder > min(present)]
-    there = Listed(str(root), len(listed), len({*present.values()}), len(work) - len(later))
+    earlier = [folder for folder in work if folder < min(present) and summaries[folder].get("purpose") != "timing"]
+    there = Listed(str(root), len(listed), len({*present.values()}), len(earlier))
     return sorted([*present, *later]), there
 
 

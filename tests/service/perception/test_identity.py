@@ -209,3 +209,10 @@ def test_a_calibration_holds_the_light_of_its_gel():
     assert away is not None
     assert away > OTHER_LIGHT
     assert light_apart(left.light, light_of(Rectifier(CALIBRATED["left"]).apply(CAMERAS["left"].raw(REST, 3)))) < 0.01
+
+
+def test_a_picture_without_markers_is_called_no_other_gel():
+    watch = TactileFinger("left", MINI.rectified, CALIBRATED["left"], beside=CALIBRATED["right"])
+    dark = TactileFrame("left", 1, 1, np.zeros(MINI.raw.shape, np.uint8))
+    assert "without markers" in watch.learn_open(dark)
+    assert watch.explain(dark) == ""

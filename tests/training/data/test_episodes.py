@@ -225,6 +225,10 @@ def test_work_before_the_listed_probes_was_perhaps_done_with_another_gel_and_tea
     expected = f"2 of 3 listed insertions are in {tmp_path}, 2 recordings of earlier work are skipped"
     assert there.text() == expected
     assert len(read_episodes(tmp_path, Sensor.load())) == 6, "without a record all count"
+    (timing := tmp_path / "20260101T000001_t").mkdir()
+    (timing / "summary.json").write_text(json.dumps({"insertion_id": "t", "purpose": "timing", "outcome": "failed"}))
+    _, still = recordings_of(tmp_path, record)
+    assert still == there, "presses that time a cell are no work"
 
 
 def test_an_unseen_point_counts_for_nothing(tmp_path):
