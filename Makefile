@@ -243,7 +243,7 @@ up: $(OPS_VENV)/ready ## start the service of a real cell (CELL=cell-a reads doc
 up-sim: $(OPS_VENV)/ready ## start the simulated cell and the service in containers and insert one object
 	COMPOSE="$(COMPOSE) $(COMPOSE_FILE_ARGS)" sh docker/up_sim.sh
 
-down: $(OPS_VENV)/ready ## stop and remove the containers of CELL; recordings stay, monitoring only without MONITORING=1
+down: $(OPS_VENV)/ready ## stop and remove the containers of CELL; recordings stay; MONITORING=1 also ends the monitoring of all cells
 	$(COMPOSE) $(COMPOSE_FILE_ARGS) --profile live --profile robot --profile sim $(if $(MONITORING),--profile monitoring) down
 
 robot: $(OPS_VENV)/ready ## run the robot client of CELL once (ARGS='check --config /etc/tactile/cell.toml')

@@ -1,13 +1,14 @@
 import math
 import re
 from contextlib import nullcontext
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from service.contract import FrameSpec, Sensor
-from service.perception.lens import Lens, Warp
+from service.perception.lens import Lens, Projection, Warp
 from service.perception.light import light_of
 from service.perception.rectification import Calibration, CalibrationError, CameraCalibration, Measured, Rectifier
 from tests.service.perception.synthetic import draw, grid
@@ -117,6 +118,15 @@ def test_each_rectified_pixel_shows_the_raw_one_from_which_it_is_projected():
     shown = Rectifier(aside).apply(raw)
     assert not shown[:, :149].any()
     assert (shown[:, 151:, 2] == 255).all()
+
+
+def test_a_bent_camera_is_tabulated_once_however_often_its_pictures_are_asked_for(monkeypatch):
+    """It takes a third of a second, in which no message would be answered."""
+    camera = replace(BENT)
+    first = Rectifier(camera)
+    monkeypatch.setattr(Projection, "raw", None)
+    raw = np.full(camera.raw.shape, 7, np.uint8)
+    assert np.array_equal(Rectifier(camera).apply(raw), first.apply(raw))
 
 
 def homography(*, from_rectified):

@@ -24,22 +24,14 @@ def left(root: Path) -> Sequence[int]:
     return sorted(int(path.name.rpartition("r")[2]) for path in root.iterdir())
 
 
-def test_the_probes_of_a_commissioning_outlive_the_work_that_follows(tmp_path: Path) -> None:
-    for number in range(3):
-        recorded(tmp_path, number, {"purpose": "probe"})
-    for number in range(3, 20):
-        recorded(tmp_path, number)
+@pytest.mark.parametrize(("probes_n", "kept"), [(3, [0, 1, 2, 15, 16, 17, 18, 19]), (10, [6, 7, 8, 9, 16, 17, 18, 19])])
+def test_the_newest_probes_outlive_the_work_that_follows_and_fill_half_of_the_space(
+    tmp_path: Path, probes_n: int, kept: list[int]
+) -> None:
+    for number in range(20):
+        recorded(tmp_path, number, {"purpose": "probe"} if number < probes_n else None)
         prune(tmp_path, 8 * SIZE)
-    assert left(tmp_path) == [0, 1, 2, 15, 16, 17, 18, 19]
-
-
-def test_of_many_commissionings_the_newest_probes_that_fill_half_of_the_space_stay(tmp_path: Path) -> None:
-    for number in range(10):
-        recorded(tmp_path, number, {"purpose": "probe"})
-    for number in range(10, 20):
-        recorded(tmp_path, number)
-    prune(tmp_path, 8 * SIZE)
-    assert left(tmp_path) == [6, 7, 8, 9, 16, 17, 18, 19]
+    assert left(tmp_path) == kept
 
 
 @pytest.mark.parametrize("summary", [[], "probe", {"purpose": ["probe"]}, {}])

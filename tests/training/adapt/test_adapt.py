@@ -49,6 +49,7 @@ def test_work_of_a_cell_that_is_off_makes_a_network_that_knows_how_much_it_errs(
     comparison = adapt(recorded(tmp_path / "runs", 80, off_mm=6.0, work=True), release, tmp_path / "out", stages=stages)
     assert comparison.accepted, comparison.text()
     before, after = comparison.figures["released"], comparison.figures[comparison.best]
+    assert comparison.figures["gain"]["mae_x_mm"] < 0.8 * before["mae_x_mm"], "accepted or not"
     assert after["mae_x_mm"] <= before["mae_x_mm"]
     assert before["coverage90_x"] < 0.7, "otherwise this tests nothing"
     assert after["coverage90_x"] > 0.8
