@@ -1,6 +1,7 @@
 """`python -m simulation COMMAND`: a table of commands, each imported only when it is called."""
 
 import importlib
+import os
 import re
 import sys
 from collections.abc import Callable
@@ -59,6 +60,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(usage())
         return 0 if arguments else 2
     name, rest = arguments[0], arguments[1:]
+    for pool in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        os.environ.setdefault(pool, "1")  # as in worker processes: with more threads, sums differ in their last bits
     from service.contract.refusals import nearest
     from service.contract.text import run_command
     from simulation import compile_cache

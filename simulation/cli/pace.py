@@ -15,9 +15,10 @@ from simulation.cli.drawn_worlds import drawn_objects, drawn_worlds_of
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import benchmark, campaign
 from simulation.closed_loop.job import Perception
-from simulation.scene.worlds import World, load_objects, load_world
+from simulation.closed_loop.statistics import Row
+from simulation.scene.worlds import World, load_objects, load_world, object_names
 from simulation.studies.drawn_worlds import Start, starts
-from simulation.studies.lateness import timed_each
+from simulation.studies.lateness import lateness, timed_each
 from simulation.studies.pace import choose as choosing
 from simulation.studies.pace import report
 from simulation.studies.pace.kept import kept as kept_results
@@ -57,14 +58,15 @@ def main(arguments: list[str]) -> int:
         options.check()
         worlds = drawn_worlds_of(options.count, options.seed, layer_share=0.0)
         objects = drawn_objects(options.out, options.count, options.seed)
-        data = _played(options, starts(worlds, objects, options.count, options.seed))
+        begun = starts(worlds, objects, options.count, options.seed)
+        cells = [(start.world, start.scene) for start in begun]
+        data = _played(options, begun, timed_each(cells, options.seed, options.models, options.workers))
     sys.stdout.write(report.write({**data, "kept": kept}, options.docs))
     return 0
 
 
-def _played(options: PlayOptions, begun: Sequence[Start]) -> dict[str, Any]:
-    cells = [(start.world, start.scene) for start in begun]
-    late = timed_each(cells, options.seed, options.models, options.workers)
+def _played(options: PlayOptions, begun: Sequence[Start], late: Sequence[Row]) -> dict[str, Any]:
+    """``late``: how each start's cell was timed."""
     if all(row["late_s"] is None for row in late):
         raise ValueError(f"in none of {len(late)} cells did presses at two speeds tell the lateness: nothing to play")
     todo = tasks(POINTS, begun, options.seed, options.models, [row["late_s"] for row in late])
@@ -92,6 +94,8 @@ class ChooseOptions:
     """N, at most, in 95 % of insertions"""
     world: Path | None = None
     """TOML file of your cell (docs/worlds.md): every choice is played there, on all cores, resumable"""
+    objects: tuple[str, ...] = object_names()
+    """what the cell packs, with --world: names, TOML files or folders of them"""
     report: Path = Path("docs/pace.json")
     out: Path = Path("pace.toml")
     """file for the settings, to be put into the client's cell.toml"""
@@ -108,17 +112,17 @@ def choose(arguments: list[str]) -> int:
         data = read_json(options.report, MADE_BY)
     else:
         out = Path("runs/choose") / options.world.stem
-        played = PlayOptions(out=out, docs=out, models=released_models(), count=options.count)
+        played = PlayOptions(out=out, docs=out, models=released_models(), objects=options.objects, count=options.count)
         played.check()
-        begun = _in_world(load_world(options.world), played)
-        data = _played(played, begun)
+        data = _played_in(load_world(options.world), played)
     best, kept = choosing.choose(data, wanted)
     write_durably(options.out, choosing.settings_toml(best, data["insertions"]).encode())
     print(choosing.summary(best, data["insertions"], wanted, kept=kept), f"written to {options.out}", sep="\n")
     return 0 if kept else 1
 
 
-def _in_world(world: World, options: PlayOptions) -> list[Start]:
+def _played_in(world: World, options: PlayOptions) -> dict[str, Any]:
     objects = load_objects(options.objects)
     benchmark.check_sensors([(world, scene) for scene in benchmark.held_in(world, objects).values()], options.models)
-    return starts([world], list(objects), options.count, options.seed)
+    begun = starts([world], list(objects), options.count, options.seed)
+    return _played(options, begun, len(begun) * lateness([world], objects, options.seed, options.models, 1))

@@ -126,7 +126,7 @@ def pokes(plan: Plan, base: Scene) -> Iterator[tuple[Fixture, int, int, Probe | 
                 yield fixture, poke, seed, None
                 break
             yield fixture, poke, seed, probe
-            if probe.outcome != "blocked":
+            if probe.outcome != "blocked" or not hand.lifted():
                 break
 
 
@@ -137,6 +137,7 @@ class Hand:
         self._cell = mechanics(fixture.scene, fixture.cell_seed)
         self._cell.regrasp(0.0, 0.0)
         self._zero = self._cell.pose.copy()  # TCP x, y, z (mm) and yaw (rad) of a newly fixtured object at zero error
+        self._top_z_mm = float(self._zero[2])
 
     def aim(self, x_mm: float, theta_deg: float) -> None:
         """Move over the gap to where a newly fixtured object would have this error; the held one has drifted."""
@@ -144,39 +145,37 @@ class Hand:
         self._cell.move_to(x + x_mm, y, z, math.degrees(yaw) + theta_deg)
 
     def poke(self, rng: np.random.Generator) -> Probe:
-        """Descend until slip, with a real arm's overtravel, and lift off again."""
+        """Descend until slip, with a real arm's overtravel."""
         cell = self._cell
         delay_frames = int(rng.integers(MAX_STOP_DELAY_FRAMES + 1))
         overtravel_mm = float(rng.uniform(0, MAX_OVERTRAVEL_MM))
-        x, _, top, yaw = (float(value) for value in cell.pose)
+        x, _, self._top_z_mm, yaw = (float(value) for value in cell.pose)
         phase = float(rng.random())
-        probe = descend(
+        return descend(
             cell, x, math.degrees(yaw), phase=phase, stop_delay_frames=delay_frames, overtravel_mm=overtravel_mm
         )
-        if probe.outcome == "blocked":
-            self._lift(top)
-        return probe
 
     def press(self, rng: np.random.Generator) -> Probe:
-        """Descend to a fixed depth below the onset, in steps of depth, and lift off again."""
+        """Descend to a fixed depth below the onset, in steps of depth."""
         cell = self._cell
-        x, _, top, yaw = (float(value) for value in cell.pose)
+        x, _, self._top_z_mm, yaw = (float(value) for value in cell.pose)
         rate = cell.scene.speed_mm_s / drawn_cells.FRAME_MM
         theta_deg, press_mm = math.degrees(yaw), drawn_cells.PRESS_MM
-        probe = descend(cell, x, theta_deg, phase=float(rng.random()), fps=rate, press_mm=press_mm)
-        if probe.outcome == "blocked":
-            self._lift(top)
-        return probe
+        return descend(cell, x, theta_deg, phase=float(rng.random()), fps=rate, press_mm=press_mm)
 
-    def _lift(self, top_z_mm: float) -> None:
-        """Straight up until nothing touches, then to approach height."""
-        cell, scene = self._cell, self._cell.scene
+    def lifted(self) -> bool:
+        """Lift straight up until nothing touches, then to approach height; False where no equilibrium is found."""
+        cell, scene, top_z_mm = self._cell, self._cell.scene, self._top_z_mm
         x, y, _, yaw = (float(value) for value in cell.pose)
         cell.scene = scene.varied({"numerics.load_step_mm": max(LIFT_STEP_MM, scene.numerics.load_step_mm)})
-        while cell.look().in_contact and cell.pose[2] < top_z_mm:
-            cell.move_to(x, y, min(top_z_mm, float(cell.pose[2]) + LIFT_MM), math.degrees(yaw))
-        cell.scene = scene
-        cell.move_to(x, y, top_z_mm, math.degrees(yaw))
+        try:
+            while cell.look().in_contact and cell.pose[2] < top_z_mm:
+                cell.move_to(x, y, min(top_z_mm, float(cell.pose[2]) + LIFT_MM), math.degrees(yaw))
+            cell.scene = scene
+            cell.move_to(x, y, top_z_mm, math.degrees(yaw))
+        except PhysicsError:
+            return False
+        return True
 
 
 def trial_of(fixture: Fixture, poke: int, seed: int, probe: Probe, object_name: str) -> Trial:

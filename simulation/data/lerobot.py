@@ -44,11 +44,8 @@ def features(sensor: Sensor) -> dict[str, dict[str, Any]]:
     listed: dict[str, dict[str, Any]] = dict.fromkeys(CAMERAS, image)
     for name, names in vectors.items():
         listed[name] = {"dtype": "float32", "shape": [len(names)], "names": names}
-    listed["observation.gel"] = {
-        "dtype": "float32",
-        "shape": [2 * sensor.marker_rows * sensor.marker_columns * 3],
-        "names": None,
-    }
+    numbers_n = 2 * sensor.marker_rows * sensor.marker_columns * 3
+    listed["observation.gel"] = {"dtype": "float32", "shape": [numbers_n], "names": None}
     listed["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
     for name in ("frame_index", "episode_index", "index", "task_index"):
         listed[name] = {"dtype": "int64", "shape": [1], "names": None}
@@ -56,7 +53,7 @@ def features(sensor: Sensor) -> dict[str, dict[str, Any]]:
 
 
 def export(dataset: Dataset, numbers: Sequence[int], out: Path, show: Callable[[int], None] = lambda _: None) -> None:
-    """Write trials ``numbers`` of ``dataset`` under ``out``, which must not hold a dataset already."""
+    """Write trials ``numbers`` of ``dataset``, none of a drawn cell, under ``out``, which must hold no dataset yet."""
     tasks: dict[str, int] = {}
     episodes: list[dict[str, Any]] = []
     trials: list[dict[str, Any]] = []
@@ -66,6 +63,7 @@ def export(dataset: Dataset, numbers: Sequence[int], out: Path, show: Callable[[
         place = divmod(first // EPISODES_PER_FILE, FILES_PER_CHUNK)
         for episode, number in enumerate(numbers[first : first + EPISODES_PER_FILE], start=first):
             trial = dataset.trial(number)
+            trial.check_timed(number)
             text = f"insert the {trial.object_name} into the gap"
             task = tasks.setdefault(text, len(tasks))
             frames = dataset.frames(number, 0, FRAMES)

@@ -42,10 +42,14 @@ class Probe:
 
 
 class _Recorder:
-    """Collects frames and finds the onset: the first frame whose markers moved from rest by ONSET_MM."""
+    """Collects frames and finds the onset: the first frame whose markers moved by ONSET_MM since nothing touched.
+
+    In a gel that relaxes they also creep while the object hangs free: that is no motion of the object.
+    """
 
     def __init__(self, first: CellState) -> None:
         self.states = [first]
+        self._free = first
         self.depth_mm = [0.0]
         self.onset = -1
 
@@ -53,8 +57,10 @@ class _Recorder:
         index = len(self.states)
         self.states.append(state)
         self.depth_mm.append(depth_mm)
-        if self.onset < 0:
-            moved = np.abs(state.gel[..., :2] - self.states[0].gel[..., :2])
+        if not state.in_contact:
+            self._free = state
+        elif self.onset < 0:
+            moved = np.abs(state.gel[..., :2] - self._free.gel[..., :2])
             if float(moved.max()) > ONSET_MM:
                 self.onset = index
         return index

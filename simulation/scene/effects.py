@@ -105,7 +105,10 @@ def _finger_compliance(scene: Scene) -> tuple[bool, str]:
 
 
 def _texture(scene: Scene) -> tuple[bool, str]:
-    return scene.object.texture != "smooth", f"object.texture is {scene.object.texture}"
+    body = scene.object
+    if body.texture_gain is not None:
+        return body.texture_gain > 0.0, f"object.texture_gain is {body.texture_gain:g}"
+    return body.texture != "smooth", f"object.texture is {body.texture}"
 
 
 def _blur(scene: Scene) -> tuple[bool, str]:

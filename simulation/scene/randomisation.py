@@ -76,11 +76,11 @@ def _size_mm(own_mm: float, scale: float, most_mm: float) -> float:
 
 
 def _around(scene: Scene, key: str, value: float, middle: float) -> float:
-    """A drawn value, shifted to the scene's own value where it has one."""
+    """A drawn value, shifted to the scene's own value where it states one."""
     part, name = key.split(".")
     table = getattr(scene, part)
     own, field = getattr(table, name), type(table).model_fields[name]
-    if own == field.default:
+    if name not in table.model_fields_set:
         return value
     (least,) = (bound.ge for bound in field.metadata if hasattr(bound, "ge"))
     (most,) = (bound.le for bound in field.metadata if hasattr(bound, "le"))

@@ -213,7 +213,8 @@ def assemble(constants: Any, nodes: Any, trial: Any, coupled: bool) -> None:
 def settle(constants: Any, nodes: Any, trial: Any) -> tuple[int, float]:
     """Return-map the stretches at the end of a load step.
 
-    Number of slipping nodes and the worst cone violation, N/mm2.
+    Number of slipping nodes and the worst violation of the cone by the stretches that the forces were balanced with,
+    N/mm2: what the return map is about to cut off.
     """
     slipping, worst = 0, 0.0
     for j in range(nodes.shape[0]):
@@ -223,6 +224,7 @@ def settle(constants: Any, nodes: Any, trial: Any) -> tuple[int, float]:
         size = math.sqrt(sx * sx + sz * sz)
         depth, _ = indentation(constants, node, trial)
         node.pressure = constants.kn * node.stiff * max(depth, 0.0)
+        worst = max(worst, min(constants.kt * size, node.limit) - constants.friction * node.pressure)
         bound = min(node.limit, constants.friction * node.pressure) / constants.kt
         share, node.slipped = 1.0, 0.0
         if size > bound:
@@ -231,5 +233,4 @@ def settle(constants: Any, nodes: Any, trial: Any) -> tuple[int, float]:
                 node.slipped = 1.0
                 slipping += 1
         node.sx, node.sz = sx * share, sz * share
-        worst = max(worst, constants.kt * size * share - constants.friction * node.pressure)
     return slipping, worst

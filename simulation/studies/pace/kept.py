@@ -38,6 +38,7 @@ def kept(docs: Path) -> Row:
                 "same": list(wilson(row["same_commands"], row["decisions"])),
             }
             for row in bench["int8"]
+            if "refused" not in row
         ],
         "depths": {name: _right(row) for name, row in depths["depths"].items() if _of_test(name)},
         "sure": {

@@ -1,5 +1,6 @@
 """Wrong numbers at the simulator's command line: one line that names the option, and nothing is written."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,7 @@ REFUSED = [
     ("drawn-worlds --models MODELS --out OUT --drawn-n 0", "--drawn-n 0"),
     ("trust --models MODELS --out OUT --drawn-n 0", "--drawn-n 0"),
     ("choose --seconds-a-box 10 --success 95 --world MINI --out OUT", "a share above 0 up to 1"),
+    ("choose --seconds-a-box 10 --world MINI --objects nowhere --out OUT", "no object 'nowhere'"),
     *((f"{line} --worlds MINI", "pictures of the sensor gelsight_mini") for line in ON_A_WORLD),
     ("commission --worlds MINI --objects rectangle --json DATA", "is a folder"),
 ]
@@ -66,6 +68,13 @@ def test_a_cell_whose_folder_cannot_be_made_says_so_before_anything_runs(tmp_pat
     taken.write_text("a file")
     assert main(["cell", "--out", str(taken)]) == 2
     assert str(taken) in capsys.readouterr().err
+
+
+def test_a_command_computes_on_one_thread_as_its_workers_do(monkeypatch) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    assert main(["evalute"]) == 2
+    assert (os.environ["OPENBLAS_NUM_THREADS"], os.environ["OMP_NUM_THREADS"]) == ("1", "2"), "what is set stays"
 
 
 def test_a_misspelt_command_is_refused_with_the_nearest_one(capsys) -> None:

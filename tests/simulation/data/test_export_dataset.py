@@ -179,6 +179,13 @@ def test_an_export_that_lacks_part_of_a_trial_is_refused_by_its_number(lerobot: 
         Exported(mine)
 
 
+def test_steps_of_depth_are_not_exported_as_frames_of_time(tmp_path: Path) -> None:
+    drawn = made_up_dataset(tmp_path / "drawn", [made_up_trial(k, drawn="{}") for k in range(2)], 2)
+    with pytest.raises(DatasetError, match=r"trial 0: .*steps of depth, not of time"):
+        export_dataset([str(drawn), "--out", str(tmp_path / "out")])
+    assert not list((tmp_path / "out").iterdir()), "nothing is half written"
+
+
 def test_nothing_is_overwritten_and_nothing_is_made_up(source: Path, tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     with pytest.raises(DatasetError, match="not empty"):

@@ -124,6 +124,9 @@ def test_a_scenes_own_values_are_the_middle_of_what_is_drawn() -> None:
         assert np.mean(drawn) == pytest.approx(own, rel=0.06)
         assert 0.1 < np.ptp(drawn) / own < 1.3
     assert {draw.gel.poisson_ratio for draw in draws} == {0.45}
+    default_mm = load_scene("rectangle").grasp.height_mm
+    stated = [randomised(load_scene("rectangle", grasp__height_mm=default_mm), rng).grasp.height_mm for _ in range(200)]
+    assert np.mean(stated) == pytest.approx(default_mm, rel=0.1), "a default that is stated counts as stated"
 
 
 def test_held_out_draws_never_meet_training_draws() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from simulation.scene import rubber
+from simulation.scene.effects import active_effects
 from simulation.scene.scene import SceneError
 from simulation.scene.worlds import World, files_in, load_scene, load_world, object_names, training_objects
 
@@ -264,3 +265,7 @@ def test_an_objects_own_texture_stands_in_its_file(tmp_path: Path) -> None:
     look = Appearance.draw(load_scene(write(tmp_path, "box", coarse)), "left", 0)
     assert (look.object_texture, look.object_texture_gain) == ("ribs", 0.2)
     assert look.object_texture_period_px == pytest.approx(20.0)
+    for stated, gain in (("texture_gain = 0.2", 0.2), ('texture = "ribbed"\ntexture_gain = 0.0', 0.0), ("", 0.0)):
+        own = load_scene(write(tmp_path, "own", BOX + stated))
+        assert Appearance.draw(own, "left", 0).object_texture_gain == gain
+        assert active_effects(own).object_texture == (gain > 0.0), "what a scene states is simulated"

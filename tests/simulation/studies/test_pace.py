@@ -1,6 +1,7 @@
 """Choices of settings are played fairly, keep every bound of the client, and are chosen by their results."""
 
 import json
+import shutil
 import tomllib
 from collections import Counter
 from itertools import product
@@ -24,7 +25,7 @@ from simulation.studies.pace.choose import Wanted, choose, settings_toml
 from simulation.studies.pace.figures import figures
 from simulation.studies.pace.front import beaten_by, front
 from simulation.studies.pace.groups import groups
-from simulation.studies.pace.kept import kept
+from simulation.studies.pace.kept import PARTS, kept
 from simulation.studies.pace.points import BEFORE, POINTS, SHIPPED, Point, client, tasks, with_care
 from simulation.studies.pace.report import pace_page, report_of
 
@@ -212,6 +213,19 @@ def test_the_page_counts_false_claims_among_claims():
     text = " ".join(pace_page(data).split())
     assert f"1 of {90 * len(data['points']) + 1} claims were false" in text
     assert "**False claims: 1.** Start 7, before: it is tilted." in text
+
+
+@pytest.mark.parametrize("started", [("fp32", "int8 blocked"), ("fp32",)])
+def test_a_build_that_this_processor_refuses_is_left_out(tmp_path, started):
+    for part in PARTS:
+        shutil.copy(DOCS / f"{part}.json", tmp_path)
+    bench = json.loads((tmp_path / "benchmark.json").read_text())
+    refused = {"precision": "int8 static", "refused": "its answers differ"}
+    bench["int8"] = [row for row in bench["int8"] if row["precision"] in started] + [refused]
+    (tmp_path / "benchmark.json").write_text(json.dumps(bench))
+    data = json.loads((DOCS / "pace.json").read_text()) | {"kept": kept(tmp_path)}
+    assert [build["name"] for build in data["kept"]["builds"]] == list(started)
+    assert ("does not start here" in pace_page(data)) == (len(started) == 1)
 
 
 def test_what_the_page_shows_of_others_is_what_they_say_today():
