@@ -26,6 +26,11 @@ _RIDGE = 1.0
 _ROUNDS, _POSITIVE_N, _NEGATIVE_N, _EVERY = 8, 2, 4, 25
 
 
+def object_of(run: str) -> str:
+    """The object of a run, whose name is OBJECT_NUMBER_KIND."""
+    return run.rsplit("_", 2)[0]
+
+
 @dataclass(frozen=True, slots=True)
 class Run:
     """One grasp's terms [frames, terms], the frames for fitting, and the start of its slide if it is lost.
@@ -45,7 +50,7 @@ class Run:
 
     @property
     def object(self) -> str:
-        return self.name.rsplit("_", 2)[0]
+        return object_of(self.name)
 
     def alarms(self, scores: Float64) -> NDArray[np.intp]:
         """Frames with an alarm."""
