@@ -72,6 +72,12 @@ def was_cancelled() -> bool:
     return task is not None and task.cancelling() > 0
 
 
+def heed_interrupt() -> None:
+    """Raise CancelledError if it :func:`was_cancelled`; after a driver that may have lost the interrupt."""
+    if was_cancelled():
+        raise asyncio.CancelledError
+
+
 async def farewell_of(arm: Arm) -> str:
     """How an arm's :meth:`Arm.close` ended; a driver that breaks, hangs or says nothing has confirmed nothing."""
     try:
@@ -153,8 +159,7 @@ class Runner:
             await self.gripper.start(self.post)
             if not self.state.done:  # after a failure: no motors, no program
                 pose = await self.arm.start(self.post)
-                if was_cancelled():
-                    raise asyncio.CancelledError
+                heed_interrupt()
                 self.post(Begin(at_s=time.monotonic(), pose=pose, held=self.gripper.held))
             due_s = time.monotonic()
             while not self._done.is_set():

@@ -10,7 +10,7 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, Limits, Motion, check_arrived, check_pose
 from robot_client.insertion.motion import Ramps, check_ramps
 from robot_client.ports import Arm, DriverError, Gripper
-from robot_client.session.runner import close_arm, closed_after, to_the_end, was_cancelled
+from robot_client.session.runner import close_arm, closed_after, heed_interrupt, to_the_end
 
 Way = Callable[[WorkPose], Sequence[tuple[WorkPose, Motion]]]
 """The corners from the arm's present pose, and the motion to each."""
@@ -62,8 +62,7 @@ class Errands:
             for before, corner in itertools.pairwise((here, *(corner for corner, _ in corners))):
                 check_pose(self.limits, corner, here=before)
             for number, (corner, motion) in enumerate(corners):
-                if was_cancelled():
-                    raise asyncio.CancelledError
+                heed_interrupt()
                 _begin_line(arm, corner, motion, begun=number > 0 or not events.empty())
                 wait_s = 1.5 * self.ramps.duration_s(here, corner, motion) + self.motion_s
                 event = await asyncio.wait_for(events.get(), wait_s)
@@ -73,8 +72,7 @@ class Errands:
                     raise DriverError(f"robot: answered a move with {event.kind}, expected arrived")
                 _check_arrived(corner, event.pose)
                 here = event.pose
-            if was_cancelled():
-                raise asyncio.CancelledError
+            heed_interrupt()
         except TimeoutError:
             raise DriverError("robot: the arm did not arrive in time") from None
         except asyncio.CancelledError:
@@ -92,6 +90,7 @@ class Errands:
         async with closed_after(self.make_gripper()) as gripper:
             try:
                 await gripper.connect()
+                heed_interrupt()
                 return bool(await work(gripper))
             except asyncio.CancelledError:
                 raise DriverError(

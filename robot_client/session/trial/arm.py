@@ -12,7 +12,7 @@ from robot_client.insertion.limits import LimitError, Limits, check_arrived, che
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Timeouts
 from robot_client.ports import NOT_CONFIRMED, Arm, DriverError, Finding
-from robot_client.session.runner import close_arm, to_the_end
+from robot_client.session.runner import close_arm, heed_interrupt, to_the_end
 
 LEAST_UP_MM = 15.0
 REST_MM = 0.05  # an arm that stands moves no further than this
@@ -45,6 +45,7 @@ class ArmTrial:
         try:
             self._holds_before_its_start(show)
             start = await self.arm.start(self._events.put_nowait)
+            heed_interrupt()
             higher_mm = up_mm(self.ramps, self.lease)
             top = check_pose(self.limits, start.at_height(start.z_mm + higher_mm), f"{higher_mm:g} mm higher")
             try:
