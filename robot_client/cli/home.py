@@ -3,8 +3,9 @@
 import asyncio
 
 from robot_client.cli.terminal import DRY_RUN, Outcome, show, stop_on_signals, warning
+from robot_client.interrupts import heed_interrupt
 from robot_client.ports import DriverError, HomingDirection
-from robot_client.session.runner import closed_after, heed_interrupt
+from robot_client.session.runner import closed_after
 from robot_client.settings import Settings
 
 

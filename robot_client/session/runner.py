@@ -26,6 +26,7 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, check_arrived
 from robot_client.insertion.machine import step
 from robot_client.insertion.state import Phase, Plan, State
+from robot_client.interrupts import heed_interrupt, to_the_end, was_cancelled
 from robot_client.ports import NOT_CONFIRMED, Arm, DecisionService, DriverError, Gripper
 from robot_client.session.recorder import Recorder
 from robot_client.session.telemetry import Telemetry
@@ -46,36 +47,6 @@ class Observer(Protocol):
     def summary(self) -> dict[str, Any]:
         """Its contribution to the log's last line: none, unless it has one."""
         return {}
-
-
-async def to_the_end(work: Coroutine[Any, Any, None], *, interrupted: bool = False) -> None:
-    """Carry out ``work`` to its end, because an interrupt must not break off a stop under way.
-
-    Raises CancelledError afterwards if there was an interrupt, so that the caller moves nothing else; not if the caller
-    was ``interrupted`` before and ends anyway.
-    """
-    task = asyncio.get_running_loop().create_task(work)
-    interrupt = None
-    while not task.done():
-        try:
-            await asyncio.shield(task)
-        except asyncio.CancelledError as error:
-            interrupt = error
-    task.result()
-    if interrupt and not interrupted:
-        raise interrupt
-
-
-def was_cancelled() -> bool:
-    """Whether this task was interrupted, even where the interrupt came together with what it waited for."""
-    task = asyncio.current_task()
-    return task is not None and task.cancelling() > 0
-
-
-def heed_interrupt() -> None:
-    """Raise CancelledError if it :func:`was_cancelled`; after a driver that may have lost the interrupt."""
-    if was_cancelled():
-        raise asyncio.CancelledError
 
 
 async def farewell_of(arm: Arm) -> str:
@@ -110,6 +81,12 @@ async def close_gripper(closing: Coroutine[Any, Any, None], *, failed: bool = Fa
     except Exception as error:
         if not failed:
             raise DriverError(f"gripper: its driver broke as it closed: {reason(error)}") from None
+
+
+def _gives_up(error: Exception) -> Failure:
+    """So that the arm holds, the service hears of it, and the log names the reason."""
+    code, text = ("not_ready", "") if isinstance(error, DriverError) else ("broken", f"{type(error).__name__}: ")
+    return Failure(at_s=time.monotonic(), source="client", code=code, detail=f"{text}{reason(error)}")
 
 
 @contextlib.asynccontextmanager
@@ -172,6 +149,8 @@ class Runner:
             self.post(Failure(at_s=time.monotonic(), source="operator", code="stop", detail="interrupted"))
         except Exception as error:
             broken = error
+            with contextlib.suppress(Exception):  # an observer may break on that, too
+                self.post(_gives_up(error))
         finally:
             await to_the_end(self._close(), interrupted=True)
         if broken:

@@ -9,8 +9,9 @@ from robot_client.insertion.events import Arrived, Event, Failure
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, Limits, Motion, check_arrived, check_pose
 from robot_client.insertion.motion import Ramps, check_ramps
+from robot_client.interrupts import heed_interrupt, to_the_end
 from robot_client.ports import Arm, DriverError, Gripper
-from robot_client.session.runner import close_arm, closed_after, heed_interrupt, to_the_end
+from robot_client.session.runner import close_arm, closed_after
 
 Way = Callable[[WorkPose], Sequence[tuple[WorkPose, Motion]]]
 """The corners from the arm's present pose, and the motion to each."""

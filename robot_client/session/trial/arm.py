@@ -11,8 +11,9 @@ from robot_client.insertion.lease import PAUSE_S, Lease
 from robot_client.insertion.limits import LimitError, Limits, check_arrived, check_pose
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Timeouts
+from robot_client.interrupts import heed_interrupt, to_the_end
 from robot_client.ports import NOT_CONFIRMED, Arm, DriverError, Finding
-from robot_client.session.runner import close_arm, heed_interrupt, to_the_end
+from robot_client.session.runner import close_arm
 
 LEAST_UP_MM = 15.0
 REST_MM = 0.05  # an arm that stands moves no further than this

@@ -8,8 +8,9 @@ import contextlib
 from collections.abc import AsyncIterator, Callable
 
 from robot_client.insertion.events import Event, Failure, Grasped, PartLost, Width
+from robot_client.interrupts import heed_interrupt
 from robot_client.ports import DriverError, Finding, Gripper
-from robot_client.session.runner import closed_after, heed_interrupt
+from robot_client.session.runner import closed_after
 
 MOVED_MM = 1.0  # fingers that have moved report more, fingers that have not report less
 ALONE_S = 1.0  # by then a gripper that lets go without a client has begun to
