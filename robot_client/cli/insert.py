@@ -116,7 +116,7 @@ async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | Non
         written = log.with_stem(f"{log.stem}-{len(ran) + 1}") if log and ran else log
         runner = Runner(plan, arm, gripper, service, Recorder(written, plan), (report,), settings.simulated)
         state = await runner.run()
-        ran.append((runner, partial(report.final, farewell=runner.farewell, link=runner.link())))
+        ran.append((runner, partial(report.final, farewell=runner.farewell, link=runner.link(), rest=runner.rest())))
         if plan.fixture and state.afresh(plan.insertion_id):  # the arm goes to the fixture, and the fingers open
             runner.check_stopped()
         return state

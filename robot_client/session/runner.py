@@ -89,6 +89,14 @@ def _gives_up(error: Exception) -> Failure:
     return Failure(at_s=time.monotonic(), source="client", code=code, detail=f"{text}{reason(error)}")
 
 
+def _unless_broken(read: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What a driver gives; one that breaks on it hides neither the log's end nor how the arm was left."""
+    try:
+        return read()
+    except Exception as error:
+        return {"broken": f"{type(error).__name__} {error}"}
+
+
 @contextlib.asynccontextmanager
 async def closed_after(gripper: Gripper) -> AsyncIterator[Gripper]:
     """The gripper for a while; then it is closed, see :func:`close_gripper`."""
@@ -254,11 +262,17 @@ class Runner:
         self.recorder.end(self.summary())
 
     def link(self) -> dict[str, Any]:
-        """The arm's figures; a driver that breaks on them hides neither the log's end nor how the arm was left."""
-        try:
-            return self.arm.statistics()
-        except Exception as error:
-            return {"broken": f"{type(error).__name__} {error}"}
+        """The arm's figures."""
+        return _unless_broken(self.arm.statistics)
+
+    def rest(self) -> dict[str, Any]:
+        """Where the arm was measured last; after the farewell: where it came to rest."""
+
+        def measured() -> dict[str, Any]:
+            here = self.arm.position()
+            return {} if here is None else {name: round(value, 3) for name, value in here}
+
+        return _unless_broken(measured)
 
     def summary(self) -> dict[str, Any]:
         return {
@@ -267,6 +281,7 @@ class Runner:
             "attempts": self.state.attempt,
             "reason": self.state.reason,
             "controller": self.farewell,
+            "rest": self.rest(),
             "link": self.link(),
             **{key: value for observer in self.observers for key, value in observer.summary().items()},
         }

@@ -4,8 +4,10 @@ import asyncio
 
 import pytest
 
+from robot_client.insertion.events import Failure
 from robot_client.ports import DriverError
 from robot_client.session.recorder import Recorder, read_log
+from robot_client.session.report import Report
 from robot_client.session.runner import Observer
 from tests.robot_client.insertion.stories import PLAN
 from tests.robot_client.session.test_runner import let_close, runner
@@ -55,3 +57,22 @@ async def test_an_insertion_that_breaks_is_held_and_given_up_with_its_reason(bre
     assert abort.reason == end["reason"]
     assert end["reason"].startswith(f"client: broken: {type(ended).__name__}")
     assert abort.cause == "client"
+
+
+async def test_the_log_ends_with_where_the_arm_came_to_rest(tmp_path):
+    """After the farewell: it has moved on since its last event."""
+    run = runner([])
+    close = run.arm.close
+
+    async def stopping():
+        run.arm.position = lambda: PLAN.approach.at_height(33.21049)
+        return await close()
+
+    run.arm.close = stopping
+    task = asyncio.ensure_future(broken_off(run, tmp_path / "episode.jsonl"))
+    await asyncio.sleep(0.05)
+    run.post(Failure(at_s=0.0, source="service", code="link", detail="gone"))
+    _, end = await task
+    assert end["rest"] == {**PLAN.approach.model_dump(), "z_mm": 33.21}
+    line = next(line for line in Report(None, print).final(run.state, "", {}, end["rest"]) if "rest" in line)
+    assert line.startswith("  rest        x_mm 8.0, y_mm 0.0, z_mm 33.21")
