@@ -153,7 +153,10 @@ class Gripper(Protocol):
 
     @abstractmethod
     async def close(self) -> None:
-        """Leave the fingers in place and release the connection; half a minute without an end is a failure."""
+        """Leave the fingers in place and release the connection; allowed before :meth:`start`, when there is none.
+
+        Half a minute without an end is a failure; of an insertion, which is over by then, it changes nothing.
+        """
 
     def checks(self) -> dict[str, Check]:
         """The checks of a gripper that is not started, by the names printed with their findings."""
