@@ -93,7 +93,7 @@ async def test_an_arm_on_trial_does_not_move_after_it():
         return PLAN.approach
 
     arm.start, arm.move = start, lambda *move: moves.append(move)
-    trial = ArmTrial(arm, PLAN.limits, PLAN.ramps, PLAN.lease, PLAN.timeouts)
+    trial = ArmTrial(arm, PLAN.limits, PLAN.ramps, PLAN.lease, PLAN.timeouts, False)
     (ended,) = await asyncio.gather(trial.run(lambda _finding: None), return_exceptions=True)
     assert isinstance(ended, asyncio.CancelledError)
     assert moves == []
