@@ -29,7 +29,8 @@ class DeviceSettings(Contract):
 
     ``variables``: environment variables that replace keys of the table, each with the path to its key. ``grip_key``, of
     a gripper: the key with the force of its fingers in N, "" if it cannot be set; a finding about it begins with it.
-    ``pauses``, of an arm: its driver can let a descent stop and go on (:meth:`Arm.move`). ``hosts``: those that it is
+    ``pauses``, of an arm: its driver can let a descent stop and go on, and gives it several speeds (:meth:`Arm.move`);
+    an insertion then descends fast where nothing can be touched. ``hosts``: those that it is
     reached at; None if it does not say, and then it belongs to no simulated cell.
     """
 
@@ -88,7 +89,8 @@ class Arm(Protocol):
 
         A move that ends elsewhere (:func:`check_arrived`) is a failure.
 
-        ``legs``: of a descent with several speeds; an arm that does not support them refuses it.
+        ``legs``: of a descent with several speeds, from top to bottom; the last one ends at ``target``. Only an arm
+        that ``pauses`` gets them, and has to keep to them: the service takes its depth from its time.
 
         A descent moves only before ``until_s`` (``time.monotonic``); then the driver itself stops the arm, even if
         nothing else of the client runs any more. Without :meth:`renew` within ``PAUSE_S`` it holds, latched, and
@@ -153,7 +155,10 @@ class Gripper(Protocol):
 
     @abstractmethod
     async def close(self) -> None:
-        """Leave the fingers in place and release the connection; half a minute without an end is a failure."""
+        """Leave the fingers in place and release the connection; allowed before :meth:`start`, when there is none.
+
+        Half a minute without an end is a failure; of an insertion, which is over by then, it changes nothing.
+        """
 
     def checks(self) -> dict[str, Check]:
         """The checks of a gripper that is not started, by the names printed with their findings."""

@@ -3,6 +3,7 @@
 import asyncio
 
 from robot_client.cli.terminal import DRY_RUN, Outcome, show, stop_on_signals, warning
+from robot_client.interrupts import heed_interrupt
 from robot_client.ports import DriverError, HomingDirection
 from robot_client.session.runner import closed_after
 from robot_client.settings import Settings
@@ -26,8 +27,10 @@ async def _home(settings: Settings, *, acknowledge: bool, direction: HomingDirec
     async with closed_after(settings.make_gripper()) as gripper:
         try:
             await gripper.connect()
+            heed_interrupt()
             if acknowledge:
                 await gripper.acknowledge()
+                heed_interrupt()
                 show("gripper: fault acknowledged")
             width_mm = await gripper.home(direction)
             show(f"gripper: homed, width {width_mm:.1f} mm")

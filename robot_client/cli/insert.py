@@ -111,25 +111,43 @@ async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | Non
     ran: list[tuple[Runner, Callable[[State], list[str]]]] = []
 
     async def run(plan: Plan) -> State:
+        written = log
+        if ran:  # the object was regrasped
+            written = log and log.with_stem(plan.insertion_id)
+            show(f"insertion {plan.insertion_id}")
         arm, gripper, service = live_ports(settings, plan) if live else rehearsal_ports(plan)
         report = Report(arm.position, show)
-        written = log.with_stem(f"{log.stem}-{len(ran) + 1}") if log and ran else log
         runner = Runner(plan, arm, gripper, service, Recorder(written, plan), (report,), settings.simulated)
-        state = await runner.run()
-        ran.append((runner, partial(report.final, farewell=runner.farewell, link=runner.link())))
+        try:
+            state = await runner.run()
+        finally:
+            _show_log(runner.recorder)
+        ran.append((runner, partial(report.final, farewell=runner.farewell, link=runner.link(), rest=runner.rest())))
         if plan.fixture and state.afresh(plan.insertion_id):  # the arm goes to the fixture, and the fingers open
             runner.check_stopped()
         return state
 
+    def show_end(state: State) -> None:
+        for line in ran[-1][1](state):
+            show(line)
+
     stop_on_signals()
-    state = await upright(plan, run, regrasp_of(settings) if live else None, show)
-    runner, final = ran[-1]
-    for line in final(state):  # with the attempts of all grasps
-        show(line)
-    if log is not None:
-        lost = f", BROKEN OFF: {runner.recorder.lost}" if runner.recorder.lost else ""
-        show(f"  log         {log}{lost}")
+    try:
+        state = await upright(plan, run, regrasp_of(settings) if live else None, show)
+    except BaseException:
+        if ran:  # between two grasps: how the last one ended
+            show_end(ran[-1][0].state)
+        raise
+    show_end(state)  # with the attempts of all grasps
+    runner, _ = ran[-1]
     runner.check_stopped()
+    kept = runner.recorder
     summary = runner.summary() | {"attempts": state.attempt, "grasps": len(ran)}
-    result = {"insertion_id": plan.insertion_id, "log": log and str(log), "live": live, **summary}
-    return Outcome(state.phase is Phase.INSERTED, result)
+    named = {"insertion_id": runner.plan.insertion_id, "log": kept.path and str(kept.path), "lost": kept.lost}
+    return Outcome(state.phase is Phase.INSERTED, {**named, "live": live, **summary})
+
+
+def _show_log(recorder: Recorder) -> None:
+    if recorder.path is not None:
+        lost = f", BROKEN OFF: {recorder.lost}" if recorder.lost else ""
+        show(f"  log         {recorder.path}{lost}")

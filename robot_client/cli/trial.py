@@ -14,17 +14,21 @@ _STEPS = {
     "arm": [
         "go up by {up_mm:g} mm from where it stands, with no watch for touch",
         "descend, and hold on the way",
+        "{legs}",
         "descend again, and let the lease end: a failure",
     ],
     "gripper": ["close the open, empty fingers twice, and open them again"],
     "part": ["close the open fingers on the part between them", "leave it alone, and come back", "wait for its loss"],
 }
+_LEGS = "descend at two speeds, and have the lease renewed on the way"
 
 
 def try_device(settings: Settings, subject: Subject, *, live: bool) -> Outcome:
     """Done if every promise is kept; raises DriverError if the device cannot be made ready."""
     show(warning(live=live, simulated=settings.simulated))
-    steps = [step.format(up_mm=up_mm(settings.ramps, settings.lease)) for step in _STEPS[subject]]
+    pauses = settings.robot.pauses
+    known = {"up_mm": up_mm(settings.ramps, settings.lease, pauses=pauses), "legs": _LEGS if pauses else ""}
+    steps = [text for step in _STEPS[subject] if (text := step.format(**known))]
     if not live:
         return rehearsed("would:", steps)
     show_steps("will:", steps)
@@ -42,7 +46,7 @@ async def _try(settings: Settings, subject: Subject) -> Outcome:
     try:
         if subject == "arm":
             limits, ramps, lease, timeouts = settings.limits, settings.ramps, settings.lease, settings.timeouts
-            await ArmTrial(settings.make_arm(), limits, ramps, lease, timeouts).run(note)
+            await ArmTrial(settings.make_arm(), limits, ramps, lease, timeouts, settings.robot.pauses).run(note)
         elif subject == "gripper":
             await try_empty(settings.make_gripper, settings.timeouts.grasping_s, note)
         else:

@@ -13,9 +13,9 @@ from pydantic import Field
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import Limits, Motion, check_pose
 from robot_client.insertion.state import Phase, State
+from robot_client.interrupts import to_the_end
 from robot_client.ports import DriverError, Gripper
 from robot_client.session.handshake import Handshake, HandshakeSettings
-from robot_client.session.runner import to_the_end
 from robot_client.session.travel import Errands, Way, over_to, straight_up
 from service.contract.frames import Contract
 

@@ -9,7 +9,11 @@ A start that comes before ready, or goes off before done, is a fault: one side w
 """
 
 import asyncio
+import time
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
 
 from pydantic import Field
 
@@ -18,6 +22,8 @@ from service.contract.frames import Contract
 
 NAME = r"^[A-Za-z][A-Za-z0-9_/.-]{0,80}$"
 POLL_S = 0.1
+LOST_S = 3.0  # answers that are lost for so long, while nothing is under way, end no cycle
+_Answer = TypeVar("_Answer")
 
 
 class HandshakeSettings(Contract):
@@ -43,7 +49,7 @@ class Handshake:
         names = self.settings
         for name in (names.ready, names.done, names.fault):
             await self.signals.write_signal(name, on=False)
-        await self._check_off()
+        await self._check_off(self._requested)
 
     async def asked(self, *, ready: bool) -> bool:
         """Signal whether the client is ready, and return whether the PLC requests a part.
@@ -52,11 +58,11 @@ class Handshake:
         DriverError if the PLC requests one that nobody was ready for.
         """
         if ready and not self._offered:
-            await self._check_off()
+            await self._check_off(self._requested_yet)
         self._offered = self._offered or ready
-        await self.signals.write_signal(self.settings.ready, on=ready)
+        await _patiently(partial(self.signals.write_signal, self.settings.ready, on=ready))
         await asyncio.sleep(POLL_S)
-        requested = self._offered and await self._requested()
+        requested = self._offered and await self._requested_yet()
         self._offered = ready or requested
         return requested
 
@@ -84,8 +90,11 @@ class Handshake:
     async def _requested(self) -> bool:
         return await self.signals.read_signal(self.settings.start)
 
-    async def _check_off(self) -> None:
-        if await self._requested():
+    async def _requested_yet(self) -> bool:
+        return await _patiently(self._requested)
+
+    async def _check_off(self, requested: Callable[[], Awaitable[bool]]) -> None:
+        if await requested():
             names = self.settings
             look = "look whether the last part is in, switch it off, then start the cycle"
             raise DriverError(f"plc: {names.start} is on before {names.ready}; {look}")
@@ -98,3 +107,15 @@ class Handshake:
                 await self.signals.write_signal(self.settings.fault, on=True)
         finally:
             await self.signals.close()
+
+
+async def _patiently(ask: Callable[[], Awaitable[_Answer]]) -> _Answer:
+    """Ask again where an answer is lost: a level may be read and written any number of times."""
+    until_s = time.monotonic() + LOST_S
+    while True:
+        try:
+            return await ask()
+        except DriverError:
+            if time.monotonic() >= until_s:
+                raise
+        await asyncio.sleep(POLL_S)

@@ -1,11 +1,13 @@
 """The episode log: one JSON object per line, every event and every command in order; enough to replay the insertion.
 
-First line: the plan. Then ``{"event": ...}`` and ``{"command": ...}`` as they happened; last ``{"end": ...}``.
+First line: the plan, with the client's release and the time (UTC). Then ``{"event": ...}`` and ``{"command": ...}`` as
+they happened; last ``{"end": ...}``.
 A thread of its own writes them: the event loop that guides the arm waits for no disk.
 """
 
 import contextlib
 import json
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from queue import SimpleQueue
@@ -17,6 +19,7 @@ from pydantic import ValidationError
 
 from robot_client.insertion.events import COMMAND, EVENT, Command, Event
 from robot_client.insertion.state import Plan
+from service import __version__
 from service.contract.frames import ContractError, first_error
 from service.contract.refusals import reason
 
@@ -54,7 +57,9 @@ class Recorder:
                 raise ContractError(f"cannot write the episode log {path}: {error.strerror}") from None
             self._writer = Thread(target=self._write_all, name="episode log", daemon=True)  # no process waits for it
             self._writer.start()
-        self._put({"version": LOG_VERSION, "plan": plan.model_dump(mode="json")})
+        begun = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        known = {"version": LOG_VERSION, "release": __version__, "begun": begun}
+        self._put({**known, "plan": plan.model_dump(mode="json")})
 
     def event(self, event: Event) -> None:
         self._put({"event": event.model_dump(mode="json")})
@@ -106,7 +111,7 @@ def read_log(path: Path) -> tuple[Plan, list[Event | Command], dict[str, Any]]:
     for number, line in _lines(path):
         try:
             if "plan" in line:
-                _check_version(path, line.get("version"))
+                _check_version(path, line)
                 plan = Plan.model_validate_json(json.dumps(line["plan"]))
             elif "event" in line:
                 entries.append(EVENT.validate_python(line["event"], strict=False))
@@ -123,10 +128,12 @@ def read_log(path: Path) -> tuple[Plan, list[Event | Command], dict[str, Any]]:
     return plan, entries, end
 
 
-def _check_version(path: Path, version: object) -> None:
+def _check_version(path: Path, line: dict[str, Any]) -> None:
+    version = line.get("version")
     if version != LOG_VERSION:
+        release = f"release {line['release']}, which" if "release" in line else "the release that"
         which = f"{path} is an episode log of version {version!r}, expected {LOG_VERSION}"
-        raise ContractError(f"{which}: replay it with the release that wrote it")
+        raise ContractError(f"{which}: replay it with {release} wrote it")
 
 
 def _lines(path: Path) -> Iterator[tuple[int, dict[str, Any]]]:

@@ -38,8 +38,8 @@ def replay(path: Path, show: Any = print) -> State:
         report.on_event(state, entry)
     if end and end.get("phase") != str(state.phase):
         raise ReplayError(f"{path}: the log ends {end.get('phase')}, the machine ends {state.phase}")
-    link = end.get("link")
-    for line in report.final(state, str(end.get("controller", "log was cut")), link if isinstance(link, dict) else {}):
+    link, rest = (end[name] if isinstance(end.get(name), dict) else {} for name in ("link", "rest"))
+    for line in report.final(state, str(end.get("controller", "log was cut")), link, rest):
         show(line)
     return state
 

@@ -128,8 +128,8 @@ class Report:
         rows = [row.model_dump(mode="json") for row in self.rows]
         return {"rows": rows, "seconds": {name: round(spent, 3) for name, spent in self.seconds.spent.items()}}
 
-    def final(self, state: State, farewell: str, link: dict[str, Any]) -> list[str]:
-        """One screen: outcome, attempts, overtravel, link."""
+    def final(self, state: State, farewell: str, link: dict[str, Any], rest: dict[str, Any]) -> list[str]:
+        """One screen: outcome, attempts, overtravel, link, where the arm came to rest."""
         word = "INSERTED" if state.phase is Phase.INSERTED else "NOT INSERTED"
         lines = [f"{word} after {state.attempt} attempt{'s' if state.attempt != 1 else ''}"]
         if state.reason:
@@ -152,6 +152,8 @@ class Report:
             lines.append(f"  seconds     {self.seconds.total_s:.1f} since the approach began: {parts}")
         if link:
             lines.append("  arm link    " + ", ".join(f"{key} {value}" for key, value in link.items()))
+        if rest:
+            lines.append("  rest        " + ", ".join(f"{key} {value}" for key, value in rest.items()))
         lines.append(f"  robot       {farewell}")
         return lines
 

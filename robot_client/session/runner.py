@@ -26,6 +26,7 @@ from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, check_arrived
 from robot_client.insertion.machine import step
 from robot_client.insertion.state import Phase, Plan, State
+from robot_client.interrupts import heed_interrupt, to_the_end, was_cancelled
 from robot_client.ports import NOT_CONFIRMED, Arm, DecisionService, DriverError, Gripper
 from robot_client.session.recorder import Recorder
 from robot_client.session.telemetry import Telemetry
@@ -46,30 +47,6 @@ class Observer(Protocol):
     def summary(self) -> dict[str, Any]:
         """Its contribution to the log's last line: none, unless it has one."""
         return {}
-
-
-async def to_the_end(work: Coroutine[Any, Any, None], *, interrupted: bool = False) -> None:
-    """Carry out ``work`` to its end, because an interrupt must not break off a stop under way.
-
-    Raises CancelledError afterwards if there was an interrupt, so that the caller moves nothing else; not if the caller
-    was ``interrupted`` before and ends anyway.
-    """
-    task = asyncio.get_running_loop().create_task(work)
-    interrupt = None
-    while not task.done():
-        try:
-            await asyncio.shield(task)
-        except asyncio.CancelledError as error:
-            interrupt = error
-    task.result()
-    if interrupt and not interrupted:
-        raise interrupt
-
-
-def was_cancelled() -> bool:
-    """Whether this task was interrupted, even where the interrupt came together with what it waited for."""
-    task = asyncio.current_task()
-    return task is not None and task.cancelling() > 0
 
 
 async def farewell_of(arm: Arm) -> str:
@@ -104,6 +81,20 @@ async def close_gripper(closing: Coroutine[Any, Any, None], *, failed: bool = Fa
     except Exception as error:
         if not failed:
             raise DriverError(f"gripper: its driver broke as it closed: {reason(error)}") from None
+
+
+def _gives_up(error: Exception) -> Failure:
+    """So that the arm holds, the service hears of it, and the log names the reason."""
+    code, text = ("not_ready", "") if isinstance(error, DriverError) else ("broken", f"{type(error).__name__}: ")
+    return Failure(at_s=time.monotonic(), source="client", code=code, detail=f"{text}{reason(error)}")
+
+
+def _unless_broken(read: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What a driver gives; one that breaks on it hides neither the log's end nor how the arm was left."""
+    try:
+        return read()
+    except Exception as error:
+        return {"broken": f"{type(error).__name__} {error}"}
 
 
 @contextlib.asynccontextmanager
@@ -153,8 +144,7 @@ class Runner:
             await self.gripper.start(self.post)
             if not self.state.done:  # after a failure: no motors, no program
                 pose = await self.arm.start(self.post)
-                if was_cancelled():
-                    raise asyncio.CancelledError
+                heed_interrupt()
                 self.post(Begin(at_s=time.monotonic(), pose=pose, held=self.gripper.held))
             due_s = time.monotonic()
             while not self._done.is_set():
@@ -167,6 +157,8 @@ class Runner:
             self.post(Failure(at_s=time.monotonic(), source="operator", code="stop", detail="interrupted"))
         except Exception as error:
             broken = error
+            with contextlib.suppress(Exception):  # an observer may break on that, too
+                self.post(_gives_up(error))
         finally:
             await to_the_end(self._close(), interrupted=True)
         if broken:
@@ -270,11 +262,17 @@ class Runner:
         self.recorder.end(self.summary())
 
     def link(self) -> dict[str, Any]:
-        """The arm's figures; a driver that breaks on them hides neither the log's end nor how the arm was left."""
-        try:
-            return self.arm.statistics()
-        except Exception as error:
-            return {"broken": f"{type(error).__name__} {error}"}
+        """The arm's figures."""
+        return _unless_broken(self.arm.statistics)
+
+    def rest(self) -> dict[str, Any]:
+        """Where the arm was measured last; after the farewell: where it came to rest."""
+
+        def measured() -> dict[str, Any]:
+            here = self.arm.position()
+            return {} if here is None else {name: round(value, 3) for name, value in here}
+
+        return _unless_broken(measured)
 
     def summary(self) -> dict[str, Any]:
         return {
@@ -283,6 +281,7 @@ class Runner:
             "attempts": self.state.attempt,
             "reason": self.state.reason,
             "controller": self.farewell,
+            "rest": self.rest(),
             "link": self.link(),
             **{key: value for observer in self.observers for key, value in observer.summary().items()},
         }

@@ -9,9 +9,12 @@ from robot_client.insertion.events import Arrived, Event, Failure
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, Limits, Motion, check_arrived, check_pose
 from robot_client.insertion.motion import Ramps, check_ramps
-from robot_client.ports import Arm, DriverError, Gripper
-from robot_client.session.runner import close_arm, closed_after, to_the_end, was_cancelled
+from robot_client.interrupts import heed_interrupt, to_the_end
+from robot_client.ports import NOT_CONFIRMED, Arm, DriverError, Gripper
+from robot_client.session.runner import closed_after, farewell_of
+from service.contract.refusals import reason
 
+_INTERRUPTED = "operator: interrupted, the arm is stopped"
 Way = Callable[[WorkPose], Sequence[tuple[WorkPose, Motion]]]
 """The corners from the arm's present pose, and the motion to each."""
 
@@ -50,38 +53,43 @@ class Errands:
         """Follow the way; returns the arm's final pose, measured. ``show`` prints its start and its end.
 
         Raises LimitError before anything moves if a corner or a ramp is not allowed, DriverError if the arm fails or is
-        interrupted.
+        interrupted: with how its controller was left.
         """
         check_ramps(self.limits, self.ramps)
-        events: asyncio.Queue[Event] = asyncio.Queue()
-        arm, interrupted = self.make_arm(), False
+        arm, here = self.make_arm(), None
+        failed: Exception | None = None
         try:
-            here = await arm.start(events.put_nowait)
-            show(f"from {pose_text(here)}")
-            corners = way(here)
-            for before, corner in itertools.pairwise((here, *(corner for corner, _ in corners))):
-                check_pose(self.limits, corner, here=before)
-            for number, (corner, motion) in enumerate(corners):
-                if was_cancelled():
-                    raise asyncio.CancelledError
-                _begin_line(arm, corner, motion, begun=number > 0 or not events.empty())
-                wait_s = 1.5 * self.ramps.duration_s(here, corner, motion) + self.motion_s
-                event = await asyncio.wait_for(events.get(), wait_s)
-                if isinstance(event, Failure):
-                    raise DriverError(f"{event.source}: {event.code}: {event.detail}")
-                if not isinstance(event, Arrived):
-                    raise DriverError(f"robot: answered a move with {event.kind}, expected arrived")
-                _check_arrived(corner, event.pose)
-                here = event.pose
-            if was_cancelled():
-                raise asyncio.CancelledError
+            here = await self._follow(arm, way, show)
         except TimeoutError:
-            raise DriverError("robot: the arm did not arrive in time") from None
+            failed = DriverError("robot: the arm did not arrive in time")
         except asyncio.CancelledError:
-            interrupted = True
-            raise DriverError("operator: interrupted, the arm is stopped") from None
-        finally:
-            await to_the_end(close_arm(arm, show), interrupted=interrupted)
+            failed = DriverError(_INTERRUPTED)
+        except Exception as error:
+            failed = error
+        await to_the_end(_leave(arm, show, failed), interrupted=failed is not None)
+        if here is None:
+            raise failed or DriverError("robot: the arm does not say where it is")
+        return here
+
+    async def _follow(self, arm: Arm, way: Way, show: Callable[[str], None]) -> WorkPose:
+        events: asyncio.Queue[Event] = asyncio.Queue()
+        here = await arm.start(events.put_nowait)
+        show(f"from {pose_text(here)}")
+        corners = way(here)
+        for before, corner in itertools.pairwise((here, *(corner for corner, _ in corners))):
+            check_pose(self.limits, corner, here=before)
+        for number, (corner, motion) in enumerate(corners):
+            heed_interrupt()
+            _begin_line(arm, corner, motion, begun=number > 0 or not events.empty())
+            wait_s = 1.5 * self.ramps.duration_s(here, corner, motion) + self.motion_s
+            event = await asyncio.wait_for(events.get(), wait_s)
+            if isinstance(event, Failure):
+                raise DriverError(f"{event.source}: {event.code}: {event.detail}")
+            if not isinstance(event, Arrived):
+                raise DriverError(f"robot: answered a move with {event.kind}, expected arrived")
+            _check_arrived(corner, event.pose)
+            here = event.pose
+        heed_interrupt()
         return here
 
     async def with_gripper(self, work: Callable[[Gripper], Awaitable[float | bool]]) -> bool:
@@ -92,11 +100,23 @@ class Errands:
         async with closed_after(self.make_gripper()) as gripper:
             try:
                 await gripper.connect()
+                heed_interrupt()
                 return bool(await work(gripper))
             except asyncio.CancelledError:
                 raise DriverError(
                     "operator: interrupted while the fingers moved: look where they stand, and whether they still hold"
                 ) from None
+
+
+async def _leave(arm: Arm, show: Callable[[str], None], failed: Exception | None) -> None:
+    """Close the arm; where it ``failed``, or its stop is not confirmed, raise DriverError with all of it."""
+    farewell = await farewell_of(arm)
+    show(farewell)
+    moves, why = farewell.startswith(NOT_CONFIRMED), ""
+    if failed:
+        why = "operator: interrupted; " if moves and str(failed) == _INTERRUPTED else f"{reason(failed)}; "
+    if moves or isinstance(failed, DriverError):
+        raise DriverError(f"{why}robot: {farewell}")
 
 
 def _begin_line(arm: Arm, corner: WorkPose, motion: Motion, *, begun: bool) -> None:

@@ -141,6 +141,7 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm", 
     start = Pose((5.0, 0.0, 40.0), tool_down(0.0))
     delays = Delays(motors_s=0.02, program_start_s=0.02, program_stop_s=0.05, communication_timeout_s=1.0)
     cabinet = Cabinet(Follower(start, MotionLimits(lag_s=lag_ms / 1000.0)), board, delays)
+    cabinet.sockets = device == "abb_rapid"
     frames = CellFrames()
     guide_port = free_port(socket.SOCK_DGRAM)
     egm = EgmEmulator(cabinet, frames, guide_port)

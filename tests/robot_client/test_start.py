@@ -1,6 +1,9 @@
 """Faults before the start are named, nothing moves, and a foreign program is never stopped."""
 
+import asyncio
+import math
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -10,6 +13,7 @@ from robot_client.session.travel import straight_up
 from robot_client.settings import SettingsError, load_settings
 from service.contract import wire
 from service.web.routes.insertion import HELLO_TIMEOUT_S
+from simulation.cell.emulators.abb.motion import Pose
 from tests.robot_client.live_cell import bench, outcome, side_by_side
 from tests.waiting import until
 
@@ -168,3 +172,32 @@ def test_the_service_waits_for_a_hello_as_long_as_an_arm_may_take_to_be_guided()
     gripper_s = settings.gripper.reply_timeout_s * 5  # the connection, three questions, the first update
     motors_s = settings.robot.rws.motors_timeout_s + settings.robot.rws.start_timeout_s
     assert gripper_s + motors_s + settings.robot.ready_timeout_s < HELLO_TIMEOUT_S
+
+
+@pytest.mark.parametrize("late", [False, True])
+async def test_a_tool_that_leans_too_far_is_named_at_once_and_is_never_answered(late):
+    """Without an answer the controller's program ends by itself, and says no more than that it does not run."""
+    async with bench(overrides={"robot": {"rws": {"start_timeout_s": 0.5}}}) as cell:
+        cell.cabinet.delays = replace(cell.cabinet.delays, communication_timeout_s=0.05)
+        cell.cabinet.arm.pose = Pose((5.0, 0.0, 40.0), (0.0, math.cos(0.2), 0.0, math.sin(0.2)))
+        cell.cabinet.arm.hold()
+        if late:  # the web services answer only once it has ended
+            cell.board.update({"rws": {"delay_ms": 200.0}})
+        arm = cell.settings.make_arm()
+        try:
+            with pytest.raises(DriverError, match=r"the tool is tilted by 22\.92 deg, allowed 2; jog it upright"):
+                await asyncio.wait_for(arm.start(lambda _event: None), 10.0)
+            await until(lambda: not cell.cabinet.running)
+        finally:
+            await arm.close()
+        assert cell.egm.counters.received == 0
+        assert "EGM: communication with the guide timed out" in [entry.title for entry in cell.cabinet.log]
+
+
+async def test_a_guide_that_never_answers_ends_the_controllers_program():
+    """As the time-out of TactileEgm.mod."""
+    async with bench() as cell:
+        client = RwsClient(cell.settings.robot.rws)
+        await client.start_program()
+        await until(lambda: not cell.cabinet.running)
+        await client.close()

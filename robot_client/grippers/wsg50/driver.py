@@ -100,8 +100,9 @@ class Wsg50(Gripper):
         """
         self._check_healthy()
         can_feel = direction != "outward" and SystemState.REFERENCED in self.system
+        known = ": open the fingers in its web page" if self.held else ""
         if self.held or (can_feel and not await self.finds_nothing()):
-            raise GripperError("gripper: holds a part; homing would drop it")
+            raise GripperError(f"gripper: holds a part; homing would drop it{known}")
         await self._link.request(Command.HOMING, int(codes.HomingDirection[direction.upper()]))
         return await self.width_mm()
 

@@ -71,14 +71,15 @@ class EgmArm:
             async with asyncio.timeout(self.settings.ready_timeout_s):
                 await self._ready.wait()
         except RwsError as error:
-            raise DriverError(f"robot: {error}") from None
+            raise DriverError(f"robot: {self._watch.leans or error}") from None
         except TimeoutError:
             why = self._watch.not_ready or "no datagram came: check UCdevice address, port, firewalls, that EGM runs"
             if self._foreign and not self._watch.datagrams:
                 why = f"{self._foreign} datagrams came, none from {self.settings.robot_host} (robot.robot_host)"
             where = f"UDP port {self._socket.getsockname()[1]} in {self.settings.ready_timeout_s:g} s"
             raise DriverError(f"robot: EGM not ready on {where}: {why}") from None
-        assert self._guide is not None
+        if self._guide is None:
+            raise DriverError(f"robot: {self._watch.leans}")
         self._watchdog()
         return self._guide.target
 
@@ -205,9 +206,8 @@ class EgmArm:
         if not self._watch.ready(state):
             self._answer(state.feedback if state.waits else None)
             return False
-        if tilt_deg > self.limits.max_tilt_deg:
-            allowed = f"allowed {self.limits.max_tilt_deg:g}; jog it upright, or correct work_object.rotation and .tool"
-            self._watch.not_ready = f"the tool is tilted by {tilt_deg:.2f} deg, {allowed}"
+        if not self._watch.upright(tilt_deg, self.limits.max_tilt_deg):
+            self._ready.set()
             return False
         self._guide = MotionGuide(self.limits, self.ramps, measured)
         self._righting = Righting.of(self.frame, state.feedback, measured)

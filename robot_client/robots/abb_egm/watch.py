@@ -34,6 +34,7 @@ class EgmWatch:
     worst_gap_s: float = 0.0
     worst_age_s: float = 0.0
     not_ready: str = ""
+    leans: str = ""  # stays the reason: unanswered, the controller's program ends by itself
     _bad_in_a_row: int = 0
     _slow_in_a_row: int = 0
     _cycle_ms: int = 0
@@ -47,7 +48,7 @@ class EgmWatch:
         """A datagram that does not decode; only valid ones keep the stream alive."""
         self.bad_datagrams += 1
         self._bad_in_a_row += 1
-        self.not_ready = reason
+        self.not_ready = self.leans or reason
 
     def take(self, state: RobotState, now_s: float) -> float | None:
         """Time in s on the robot's clock since the last datagram; None for a repeated or reordered one."""
@@ -75,10 +76,17 @@ class EgmWatch:
 
     def ready(self, state: RobotState) -> bool:
         """True if the controller follows targets; ``not_ready`` names the missing condition."""
-        self.not_ready = state.unfit
+        self.not_ready = self.leans or state.unfit
         if self.not_ready:  # it may be of an earlier run: the next one counts its datagrams anew
             self._last = self._least_lag_s = None
         return not self.not_ready
+
+    def upright(self, tilt_deg: float, most_deg: float) -> bool:
+        """Whether the tool hangs as targets assume, within ``most_deg``; if not, it is never ready any more."""
+        if tilt_deg > most_deg:
+            remedy = "jog it upright, or correct work_object.rotation and .tool"
+            self.leans = self.not_ready = f"the tool is tilted by {tilt_deg:.2f} deg, allowed {most_deg:g}; {remedy}"
+        return not self.leans
 
     def check(self, state: RobotState) -> None:
         """Raise StreamFault if the controller no longer follows, or its datagrams come late or too seldom."""

@@ -4,12 +4,11 @@ MODULE TactileGuard
     ! on request, and by itself when the cell PC is silent for silenceLimit. Not a safety function.
     !
     ! Requests end with "#":   H n#   alive          R n#   lower the stop flag          S n#   raise it
-    ! Answer to each:          P n x y z q1 q2 q3 q4 moving stop#                        mm; the last two 0 or 1
+    ! Answer to each:          P n x y z q1 q2 q3 q4 stop#                               mm; the last one 0 or 1
 
     PERS tooldata tactileTool;
     PERS wobjdata tactileGap;
     PERS bool tactileStop;
-    PERS bool tactileMoving;
 
     CONST string address := "192.168.125.1"; ! as in TactileMotion.mod
     CONST num port := 5011;
@@ -83,7 +82,7 @@ MODULE TactileGuard
             + " " + NumToStr(here.trans.x, 2) + " " + NumToStr(here.trans.y, 2) + " " + NumToStr(here.trans.z, 2)
             + " " + NumToStr(here.rot.q1, 5) + " " + NumToStr(here.rot.q2, 5)
             + " " + NumToStr(here.rot.q3, 5) + " " + NumToStr(here.rot.q4, 5)
-            + flag(tactileMoving) + flag(tactileStop) + "#";
+            + flag(tactileStop) + "#";
     ENDFUNC
 
     FUNC string flag(bool value)

@@ -5,13 +5,11 @@ MODULE TactileMotion
     !
     ! Requests end with "#":   M id x y z q1 q2 q3 q4 speed#     straight to the pose (mm, mm/s) unless stopped;
     !                                                            a turn is as fast, in deg/s
-    !                          Q#                                close
     ! Answers:                 D id#  done,  S id#  stopped on the way,  E id reason#  refused
 
     PERS tooldata tactileTool := [TRUE, [[0, 0, 260], [1, 0, 0, 0]], [2.5, [0, 0, 110], [1, 0, 0, 0], 0, 0, 0]];
     PERS wobjdata tactileGap := [FALSE, TRUE, "", [[800, 0, 300], [1, 0, 0, 0]], [[0, 0, 0], [1, 0, 0, 0]]];
     PERS bool tactileStop := TRUE;
-    PERS bool tactileMoving := FALSE;
 
     ! Of this controller in the network of the cell PC: here its service port. "127.0.0.1" on a virtual controller.
     CONST string address := "192.168.125.1";
@@ -23,9 +21,7 @@ MODULE TactileMotion
     VAR socketdev client;
 
     PROC main()
-        VAR string request;
         tactileStop := TRUE;
-        tactileMoving := FALSE;
         ! The program was stopped with both open if the PC ended its last session in a hurry.
         SocketClose client;
         SocketClose server;
@@ -33,14 +29,7 @@ MODULE TactileMotion
         AccSet 30, 30;
         listen;
         WHILE TRUE DO
-            request := nextRequest();
-            IF StrPart(request, 1, 1) = "Q" THEN
-                tactileStop := TRUE;
-                SocketClose client;
-                SocketClose server;
-                EXIT;
-            ENDIF
-            answer handle(request);
+            answer handle(nextRequest());
         ENDWHILE
     ERROR
         ! A lost PC is no reason to move: raise the stop and wait for the next connection.
@@ -109,10 +98,8 @@ MODULE TactileMotion
         IF v.v_ori > turnSpeed THEN
             v.v_ori := turnSpeed;
         ENDIF
-        tactileMoving := TRUE;
         ! Hard stop on the flag. Reaching the end without it is ERR_WHLSEARCH, here the good outcome.
         SearchL \Stop, tactileStop \HighLevel, hit, target, v, tactileTool \WObj:=tactileGap;
-        tactileMoving := FALSE;
         RETURN ended;
     ERROR
         IF ERRNO = ERR_WHLSEARCH THEN
@@ -125,7 +112,6 @@ MODULE TactileMotion
             StartMove;
             TRYNEXT;
         ELSE
-            tactileMoving := FALSE;
             RAISE;
         ENDIF
     ENDFUNC

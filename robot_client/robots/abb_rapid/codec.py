@@ -1,7 +1,7 @@
 """The text protocol of our RAPID modules on a controller without EGM: requests and answers end with ``#``.
 
 Motion port: ``M id x y z q1 q2 q3 q4 speed#`` answered by ``D id#`` (done), ``S id#`` (stopped) or ``E id reason#``.
-Guard port: ``H n#`` alive, ``R n#`` release, ``S n#`` stop, each answered by ``P n x y z q1 q2 q3 q4 moving stop#``.
+Guard port: ``H n#`` alive, ``R n#`` release, ``S n#`` stop, each answered by ``P n x y z q1 q2 q3 q4 stop#``.
 Positions mm with 2 decimals, quaternion with 5, speed mm/s, of a turn deg/s: a RAPID string holds 80 characters.
 """
 
@@ -13,6 +13,7 @@ from robot_client.insertion.geometry import Pose
 
 MAX_TEXT = 80
 MAX_NUMBER = 99_999
+_MODULES = "TactileGuard.mod and TactileMotion.mod of this release"
 
 
 class RapidTextError(ValueError):
@@ -71,10 +72,10 @@ def _number(text: str) -> float:
 def decode_guard(text: str) -> GuardState:
     """Read the guard's answer (without ``#``); raises ValueError."""
     match text.split():
-        case ["P", number, x, y, z, qw, qx, qy, qz, "0" | "1", "0" | "1" as stopped]:
+        case ["P", number, x, y, z, qw, qx, qy, qz, "0" | "1" as stopped]:
             pose = Pose(*map(_number, (x, y, z, qw, qx, qy, qz))).check("guard pose")
             return GuardState(int(_number(number)), pose, stopped == "1")
-    raise RapidTextError(f"the guard answered {text[:MAX_TEXT]!r}, expected P with ten fields")
+    raise RapidTextError(f"the guard answered {text[:MAX_TEXT]!r}, expected P with nine fields: load {_MODULES}")
 
 
 def decode_motion(text: str) -> MotionAnswer:

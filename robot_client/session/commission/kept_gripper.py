@@ -15,6 +15,7 @@ class KeptGripper(Gripper):
         self._post: Post | None = None
         self._missed: Event | None = None
         self._started = False
+        self._reached = False  # there may be a connection, also where its start failed
 
     @property
     def held(self) -> bool:
@@ -22,7 +23,7 @@ class KeptGripper(Gripper):
 
     async def start(self, post: Post) -> None:
         """Connect, the first time; report what failed since the last probe. Raises DriverError."""
-        self._post = post
+        self._post, self._reached = post, True
         if not self._started:
             await self._gripper.start(self._forward)
             self._started = True
@@ -30,6 +31,7 @@ class KeptGripper(Gripper):
             post(self._missed)
 
     async def connect(self) -> None:
+        self._reached = True
         await self._gripper.connect()
 
     def grasp(self) -> None:
@@ -40,8 +42,9 @@ class KeptGripper(Gripper):
         self._post = None
 
     async def leave(self) -> None:
-        """Leave the fingers in place and release the connection."""
-        await self._gripper.close()
+        """Leave the fingers in place and release the connection, if there has been one."""
+        if self._reached:
+            await self._gripper.close()
 
     def _forward(self, event: Event) -> None:
         if isinstance(event, Failure | PartLost):

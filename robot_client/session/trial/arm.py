@@ -11,8 +11,9 @@ from robot_client.insertion.lease import PAUSE_S, Lease
 from robot_client.insertion.limits import LimitError, Limits, check_arrived, check_pose
 from robot_client.insertion.motion import Ramps
 from robot_client.insertion.state import Timeouts
+from robot_client.interrupts import heed_interrupt, to_the_end
 from robot_client.ports import NOT_CONFIRMED, Arm, DriverError, Finding
-from robot_client.session.runner import close_arm, to_the_end
+from robot_client.session.runner import close_arm
 
 LEAST_UP_MM = 15.0
 REST_MM = 0.05  # an arm that stands moves no further than this
@@ -20,12 +21,14 @@ _DESCENT_S = 0.5
 _REST_S = 0.3
 _SAMPLE_S = 0.002
 _LEAST_POSES = 5  # on its way up; an arm that reports its way reports many more
-_SPARE = 1.2  # of the room for both descents: a busy machine holds late
+_SPARE = 1.2  # of the room for all descents: a busy machine holds late
+_SLOWER = 3.0  # in the second leg; an arm that knows no legs is soon far ahead there
+_REPORT_S = 0.1  # age of a position that it reports
 
 
-def up_mm(ramps: Ramps, lease: Lease) -> float:
+def up_mm(ramps: Ramps, lease: Lease, *, pauses: bool) -> float:
     """How far it goes up: it must arrive neither before its hold nor before the end of its lease."""
-    longest_s = 2.0 * (_DESCENT_S + lease.stop_lag_s)
+    longest_s = 2.0 * (_DESCENT_S + lease.stop_lag_s) + (2.0 * _DESCENT_S if pauses else 0.0)
     return max(LEAST_UP_MM, _SPARE * ramps.descend.speed_mm_s * longest_s)
 
 
@@ -38,6 +41,7 @@ class ArmTrial:
     ramps: Ramps
     lease: Lease
     timeouts: Timeouts
+    pauses: bool  # :attr:`DeviceSettings.pauses`
     _events: asyncio.Queue[Event] = field(default_factory=asyncio.Queue)
 
     async def run(self, show: Callable[[Finding], None]) -> None:
@@ -45,11 +49,14 @@ class ArmTrial:
         try:
             self._holds_before_its_start(show)
             start = await self.arm.start(self._events.put_nowait)
-            higher_mm = up_mm(self.ramps, self.lease)
+            heed_interrupt()
+            higher_mm = up_mm(self.ramps, self.lease, pauses=self.pauses)
             top = check_pose(self.limits, start.at_height(start.z_mm + higher_mm), f"{higher_mm:g} mm higher")
             try:
                 show(await self._arrives(top))
                 show(await self._stands_after_a_hold(start))
+                if self.pauses:
+                    show(await self._keeps_to_its_legs())
                 show(await self._stands_without_a_lease(start))
                 show(self._is_latched(start))
             except (DriverError, LimitError) as error:
@@ -94,6 +101,32 @@ class ArmTrial:
         went_mm, after_mm = before.distance_mm(self._here()), event.pose.distance_mm(self._here())
         text = f"hold: went on by {went_mm:.2f} mm ({self._bound}), by {after_mm:.2f} mm after its standstill"
         return Finding(went_mm <= self._allowed_mm and after_mm <= REST_MM, f"{text} (allowed {REST_MM:g})")
+
+    async def _keeps_to_its_legs(self) -> Finding:
+        """In a descent with two speeds, whose lease is renewed on the way, it is where its time says."""
+        start, speed_mm_s = self._here(), self.ramps.descend.speed_mm_s
+        leg_mm, wait_s = speed_mm_s * _DESCENT_S, (1.0 + _SLOWER) * _DESCENT_S + self.timeouts.motion_s
+        legs = (start.z_mm - leg_mm, speed_mm_s), (start.z_mm - 2.0 * leg_mm, speed_mm_s / _SLOWER)
+        profile, begun_s = self.ramps.in_legs(start.z_mm, legs), time.monotonic()
+        try:
+            self.arm.move(start.at_height(legs[-1][0]), "descend", begun_s + _DESCENT_S, legs)
+        except (TypeError, LimitError) as error:
+            return Finding(False, f"legs: {type(error).__name__}: {error}, expected a descent with two speeds")
+        arriving = asyncio.ensure_future(self._next("legs", wait_s))
+        renewed, off_mm = False, 0.0
+        while not arriving.done():
+            passed_s = time.monotonic() - begun_s
+            if passed_s > 0.5 * _DESCENT_S and not renewed:
+                self.arm.renew(begun_s + wait_s)
+                renewed = True
+            ahead_mm = start.z_mm - self._here().z_mm - profile.position(passed_s)
+            off_mm = max(off_mm, ahead_mm, key=abs)
+            await asyncio.sleep(_SAMPLE_S)
+        if not isinstance(event := await arriving, Arrived):
+            raise DriverError(f"legs: {_text(event)}, expected arrived, as its lease was renewed")
+        allowed_mm = speed_mm_s * (self.lease.stop_lag_s + _REPORT_S) + REST_MM
+        text = f"legs: {abs(off_mm):.2f} mm {'ahead' if off_mm > 0.0 else 'behind'} of its time at most"
+        return Finding(abs(off_mm) <= allowed_mm, f"{text} (allowed {allowed_mm:.2f})")
 
     async def _stands_without_a_lease(self, bottom: WorkPose) -> Finding:
         """It stands by itself where its lease ends, and fails if that is not renewed."""

@@ -8,6 +8,7 @@ import contextlib
 from collections.abc import AsyncIterator, Callable
 
 from robot_client.insertion.events import Event, Failure, Grasped, PartLost, Width
+from robot_client.interrupts import heed_interrupt
 from robot_client.ports import DriverError, Finding, Gripper
 from robot_client.session.runner import closed_after
 
@@ -57,6 +58,7 @@ async def try_part(make: Make, grasping_s: float, show: Show, ask: Callable[[str
 async def _connected(make: Make) -> AsyncIterator[Gripper]:
     async with closed_after(make()) as gripper:
         await gripper.connect()
+        heed_interrupt()
         yield gripper
 
 
@@ -65,6 +67,7 @@ async def _watching(make: Make) -> AsyncIterator[tuple[Gripper, asyncio.Queue[Ev
     events = asyncio.Queue[Event]()
     async with closed_after(make()) as gripper:
         await gripper.start(events.put_nowait)
+        heed_interrupt()
         yield gripper, events
 
 

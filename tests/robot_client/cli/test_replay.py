@@ -1,12 +1,14 @@
 """The log of an insertion: it replays, it is never overwritten, and an invalid file gives one clear line."""
 
 import json
+from datetime import UTC, datetime, timedelta
 
 import pytest
 
 from robot_client.__main__ import main
 from robot_client.session.recorder import LOG_VERSION, read_log
 from robot_client.session.replay import ReplayError, replay
+from service import __version__
 from service.contract import ContractError
 
 
@@ -21,6 +23,12 @@ def test_a_rehearsal_inserts_and_replays(rehearsed, capsys):
     assert main(["replay", str(rehearsed)]) == 0
     out = capsys.readouterr().out
     assert "INSERTED after 3 attempts" in out
+
+
+def test_a_log_begins_with_its_release_and_its_time(rehearsed):
+    first = json.loads(rehearsed.read_text().splitlines()[0])
+    assert first["release"] == __version__
+    assert abs(datetime.fromisoformat(first["begun"]) - datetime.now(UTC)) < timedelta(hours=1)
 
 
 def test_a_log_is_never_overwritten(rehearsed, capsys):
@@ -65,6 +73,9 @@ def test_a_log_of_another_version_is_refused_as_that(version, named, rehearsed, 
         path.write_text("\n".join([json.dumps({"version": version, "plan": plan}), *others]))
         with pytest.raises(ContractError, match=f"is an episode log of {named}, expected {LOG_VERSION}"):
             read_log(path)
+    path.write_text("\n".join([json.dumps({"version": version, "release": "0.1.7", "plan": plan}), *others]))
+    with pytest.raises(ContractError, match=r": replay it with release 0\.1\.7, which wrote it$"):
+        read_log(path)
     path.write_text("\n".join([json.dumps({"plan": plan}), *others]))
     with pytest.raises(ContractError, match=f"of version None, expected {LOG_VERSION}"):
         read_log(path)

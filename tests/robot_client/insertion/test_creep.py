@@ -56,7 +56,7 @@ def test_the_last_screen_says_where_the_part_sits_in_the_hand(allowance_mm, says
     finished = service(wire.Finished(insertion_id=ID, outcome="inserted", attempts=3))
     state, _ = run([at(bottom), at(bottom, Standstill), finished], state)
     assert state.phase is Phase.INSERTED
-    assert says in "\n".join(Report(lambda: None, print).final(state, "", {}))
+    assert says in "\n".join(Report(lambda: None, print).final(state, "", {}, {}))
 
 
 def test_an_allowance_that_leaves_the_box_never_starts():

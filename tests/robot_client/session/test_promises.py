@@ -39,8 +39,23 @@ class StopsNot(Wrong):
 
 
 class ForgetsItsLease(Wrong):
+    def move(self, target, motion, until_s=None, *legs):
+        self.driver.move(target, motion, until_s and until_s + 60.0, *legs)
+
+
+class TakesNoLegs(Wrong):
     def move(self, target, motion, until_s=None):
-        self.driver.move(target, motion, until_s and until_s + 60.0)
+        self.driver.move(target, motion, until_s)
+
+
+class IgnoresItsLegs(Wrong):
+    def move(self, target, motion, until_s=None, _legs=()):
+        self.driver.move(target, motion, until_s)
+
+
+class IgnoresRenewals(Wrong):
+    def renew(self, _until_s):
+        pass
 
 
 class RepeatsItsPosition(Wrong):
@@ -96,7 +111,8 @@ async def arm_findings(device="abb_egm", wrong=lambda arm: arm, **overrides):
     async with bench(device=device, overrides=SLOW | overrides) as cell:
         settings, findings = cell.settings, []
         arm = wrong(settings.make_arm())
-        await ArmTrial(arm, settings.limits, settings.ramps, settings.lease, settings.timeouts).run(findings.append)
+        limits, ramps, lease, timeouts = settings.limits, settings.ramps, settings.lease, settings.timeouts
+        await ArmTrial(arm, limits, ramps, lease, timeouts, settings.robot.pauses).run(findings.append)
         return findings
 
 
@@ -130,6 +146,7 @@ def test_the_shipped_arms_keep_every_promise(device):
     assert [finding.text.partition(":")[0] for finding in findings] == [
         "move",
         "hold",
+        *(["legs"] if device == "abb_egm" else []),
         "lease",
         "after a failure",
         "close",
@@ -155,6 +172,9 @@ def test_the_shipped_gripper_keeps_every_promise(story):
     [
         (StopsNot, "hold: went on by "),
         (ForgetsItsLease, "lease: no event followed within 0.5 s"),
+        (TakesNoLegs, "legs: TypeError: "),
+        (IgnoresItsLegs, "legs: 1."),
+        (IgnoresRenewals, "legs: failure unwatched: "),
         (RepeatsItsPosition, "move: arrived; 1 positions on the way"),
         (ArrivesEarly, "the arm ended its move 2.0"),
         (BreaksBeforeItsStart, "hold before the start: AttributeError: no guide yet, expected no error"),
@@ -189,7 +209,7 @@ async def test_a_try_whose_arm_may_still_move_says_that_first(error):
     arm.start = start
     arm.closing.set()
     with pytest.raises(DriverError, match="robot: STOP NOT CONFIRMED by the controller"):
-        await ArmTrial(arm, PLAN.limits, PLAN.ramps, PLAN.lease, PLAN.timeouts).run(findings.append)
+        await ArmTrial(arm, PLAN.limits, PLAN.ramps, PLAN.lease, PLAN.timeouts, False).run(findings.append)
     assert [finding.good for finding in findings] == [False]
 
 

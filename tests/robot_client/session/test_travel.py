@@ -14,7 +14,7 @@ from robot_client.insertion.events import Failure
 from robot_client.insertion.geometry import WorkPose
 from robot_client.insertion.limits import LimitError, Limits, check_pose
 from robot_client.insertion.motion import Ramp
-from robot_client.ports import DriverError
+from robot_client.ports import NOT_CONFIRMED, DriverError
 from robot_client.robots.dry_run.driver import DryArm
 from robot_client.robots.dry_run.driver import Settings as DryRun
 from robot_client.session.afresh import Fixture
@@ -179,3 +179,41 @@ def test_beyond_the_edge_it_goes_no_further():
     for x_mm, allowed in ((-40.05, True), (-40.02, True), (-40.06, False), (40.01, False)):
         with contextlib.nullcontext() if allowed else pytest.raises(LimitError, match="x_mm"):
             check_pose(Limits(), here._with(x_mm=x_mm), here=here)
+
+
+@pytest.mark.parametrize(
+    ("farewell", "fails", "expected"),
+    [
+        (
+            "controller confirms: program stopped, motors off: emergencystop",
+            "arm",
+            "^arm: link: gone; robot: contr.*stop$",
+        ),
+        (f"{NOT_CONFIRMED} by the controller", "arm", "^arm: link: gone; robot: STOP NOT CONFIRMED by the controller$"),
+        ("program stopped", "operator", "^operator: interrupted, the arm is stopped; robot: program stopped$"),
+        (f"{NOT_CONFIRMED} by the controller", "operator", "^operator: interrupted; robot: STOP NOT CONFIRMED by"),
+        (f"{NOT_CONFIRMED} by the controller", "box", "^low z_mm = -1.000, .*; robot: STOP NOT CONFIRMED by"),
+    ],
+)
+def test_an_errand_that_fails_says_why_and_how_the_controller_was_left(farewell, fails, expected):
+    """What the controller says about an emergency stop, a guard stop or motors off comes with its farewell."""
+
+    class Failing(DryArm):
+        def move(self, *_order):
+            self._post(Failure(at_s=0.0, source="arm", code="link", detail="gone"))
+
+        async def start(self, post):
+            self._post = post
+            if fails == "operator":
+                raise asyncio.CancelledError
+            if fails == "box":
+                raise LimitError("low z_mm = -1.000, allowed 5 .. 150")
+            return LOW
+
+        async def close(self):
+            return farewell
+
+    settings = Settings()
+    errands = replace(settings.errands, make_arm=lambda: Failing(settings.limits, settings.ramps))
+    with pytest.raises(DriverError, match=expected):
+        asyncio.run(errands.go(over_to(LOW, 40.0)))

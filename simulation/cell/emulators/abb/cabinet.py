@@ -59,6 +59,7 @@ class Cabinet:
     speed_ratio: int = 100
     cycle: str = "forever"
     at_main: bool = True  # the program pointer
+    sockets: bool = True  # the modules for sockets may be what runs, and no guide answers them
     signals: dict[str, float] = field(
         default_factory=lambda: {"doSlipStop": 0.0, "diObjectFixed": 1.0, "aoClampForce": 0.0}
     )
@@ -167,7 +168,8 @@ class Cabinet:
         self.arm.advance(now_s - self._now_s)
         if self._stop_due_s is not None and now_s >= self._stop_due_s and self.arm.at_rest:
             self._end_program()
-        if self.egm == "guided" and now_s - self._last_guide_s > self.delays.communication_timeout_s:
+        unanswered = self.egm == "waiting" and not self.sockets
+        if (self.egm == "guided" or unanswered) and now_s - self._last_guide_s > self.delays.communication_timeout_s:
             self.note(3, 41800, "EGM: communication with the guide timed out")
             self._end_program()
         self._now_s = now_s

@@ -135,8 +135,6 @@ class RapidServers:
             return
         self._motion = writer
         async for text in self._requests(reader, writer):
-            if text == "Q":
-                break
             if self.cabinet.running:
                 self._on_move(text)
         self._motion, self.stop = None, True
@@ -189,4 +187,4 @@ class RapidServers:
         pose = self.cabinet.arm.pose
         position = " ".join(f"{value:.2f}" for value in pose.position_mm)
         quaternion = " ".join(f"{value:.5f}" for value in pose.quaternion)
-        self._answer(self._guard, f"P {number} {position} {quaternion} {int(self.moving)} {int(self.stop)}")
+        self._answer(self._guard, f"P {number} {position} {quaternion} {int(self.stop)}")

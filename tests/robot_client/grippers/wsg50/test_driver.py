@@ -143,7 +143,7 @@ REFUSED = {
     "opens too far": ({}, lambda driver: driver.release(111.0), "cannot open to 111 mm, this gripper allows 0 .. 110"),
     "opens no wider": ({}, lambda driver: driver.release(0.08), "to 0.08 mm, expected more than grasp_width_mm = "),
     "opens beyond closed": ({}, lambda driver: driver.release(-1.0), "cannot open to -1 mm"),
-    "homes a part away": ({}, lambda driver: driver.home("default"), "holds a part; homing would drop it"),
+    "homes a part away": ({}, lambda driver: driver.home("outward"), "would drop it: open the fingers in its web page"),
     "too fast": ({"grasp_speed_mm_s": 421.0}, lambda driver: driver.finds_nothing(), "grasp_speed_mm_s = 421"),
     "opens too fast": ({"grasp_speed_mm_s": 421.0}, lambda driver: driver.release(55.0), "grasp_speed_mm_s = 421"),
     "too slow": ({"grasp_speed_mm_s": 4.9}, lambda driver: driver.finds_nothing(), "allows 5 .. 420"),

@@ -63,14 +63,14 @@ def test_other_answers_of_the_motion_server_are_none(text):
         codec.decode_motion(text)
 
 
-@pytest.mark.parametrize(("flags", "stopped"), [("1 0", False), ("0 1", True)])
-def test_the_guards_answer_is_read(flags, stopped):
-    state = codec.decode_guard(f"P 4 1.5 -2 30.25 0 1 0 0 {flags}")
+@pytest.mark.parametrize(("flag", "stopped"), [("0", False), ("1", True)])
+def test_the_guards_answer_is_read(flag, stopped):
+    state = codec.decode_guard(f"P 4 1.5 -2 30.25 0 1 0 0 {flag}")
     assert (state.number, state.pose, state.stopped) == (4, WirePose(1.5, -2.0, 30.25, 0, 1, 0, 0), stopped)
 
 
 @pytest.mark.parametrize(
-    "text", ["P 4 1 2 3 0 1 0 0 0 2", "P 4 1 2 3 0 1 0 0 0", "Q 4 1 2 3 0 1 0 0 0 0", "P 4 1 2 3 0 1 0 0 0 0 0"]
+    "text", ["P 4 1 2 3 0 1 0 0 2", "P 4 1 2 3 0 1 0 0", "Q 4 1 2 3 0 1 0 0 0", "P 4 1 2 3 0 1 0 0 0 0"]
 )
 def test_other_answers_of_the_guard_are_none(text):
     with pytest.raises(RapidTextError):

@@ -34,7 +34,7 @@ def clock(monkeypatch):
 
 
 def guard_says(arm, number, *, stopped, z_mm=40.0, turned="0 1 0 0"):
-    arm._on_guard(f"P {number} 5.00 0.00 {z_mm:.2f} {turned} 0 {int(stopped)}")
+    arm._on_guard(f"P {number} 5.00 0.00 {z_mm:.2f} {turned} {int(stopped)}")
 
 
 def guided():
@@ -85,7 +85,7 @@ def over(answers, *, yaw_deg=0.0):
             w, x = math.cos(half), math.sin(half)
             turned = math.radians(yaw_deg * (height_mm - 40.0)) / 2.0
             q = f"{w:.5f} {x * math.cos(turned):.5f} {x * math.sin(turned):.5f} 0"
-            arm._on_guard(f"P 1 5.00 0.00 {height_mm:.2f} {q} 0 1")
+            arm._on_guard(f"P 1 5.00 0.00 {height_mm:.2f} {q} 1")
         return events
 
     return story
@@ -176,7 +176,7 @@ def test_a_move_that_is_said_to_be_done_elsewhere_is_a_failure(clock, heights_mm
 def test_a_failure_latches_and_nothing_is_sent_off_any_more(clock):
     arm, events = guided()
     arm.move(WorkPose(x_mm=5.0, y_mm=0.0, z_mm=45.0, yaw_deg=0.0), "travel")
-    arm._on_guard("P 1 5.00 0.00 40.00 0.05 0.99875 0 0 0 0")
+    arm._on_guard("P 1 5.00 0.00 40.00 0.05 0.99875 0 0 0")
     assert [event.code for event in events] == ["tilt"]
     guard_says(arm, 1, stopped=False)
     assert arm._motion.sent == []
@@ -188,7 +188,7 @@ def test_a_failure_latches_and_nothing_is_sent_off_any_more(clock):
 def test_a_tool_may_tilt_by_two_degrees(clock, half_tilt_deg):
     arm, events = guided()
     half = math.radians(half_tilt_deg)
-    arm._on_guard(f"P 1 5.00 0.00 40.00 {math.sin(half):.5f} {math.cos(half):.5f} 0 0 0 0")
+    arm._on_guard(f"P 1 5.00 0.00 40.00 {math.sin(half):.5f} {math.cos(half):.5f} 0 0 0")
     assert bool(events) == (half_tilt_deg > 1.0)
 
 
@@ -269,7 +269,7 @@ async def test_an_arm_that_was_never_started_knows_nothing_moves_nothing_and_clo
 def test_what_the_guard_says_counts_and_what_is_no_answer_of_its_does_not(clock):
     arm, events = guided()
     before = arm.position()
-    for text in ("P 1 5.00 0.00 nonsense", "P 1 5.00 0.00 41.00 0 0.5 0 0 0 0", "?"):
+    for text in ("P 1 5.00 0.00 nonsense", "P 1 5.00 0.00 41.00 0 0.5 0 0 0", "?"):
         arm._on_guard(text)
     assert (arm.position(), arm.statistics(), events) == (before, {"guard_answers": 1}, [])
     guard_says(arm, 2, stopped=False)
@@ -279,7 +279,7 @@ def test_what_the_guard_says_counts_and_what_is_no_answer_of_its_does_not(clock)
 async def test_a_defect_of_ours_in_handling_an_answer_is_a_failure_at_once_and_not_a_silence(clock):
     arm, events = guided()
     reader = asyncio.StreamReader()
-    reader.feed_data(b"P 1 5 0 40 0 1 0 0 0 1#")
+    reader.feed_data(b"P 1 5 0 40 0 1 0 0 1#")
     with pytest.raises(ZeroDivisionError):
         await arm._read(reader, lambda _text: 1 / 0, "guard")
     assert [(event.code, event.detail) for event in events] == [("internal", "ZeroDivisionError: division by zero")]

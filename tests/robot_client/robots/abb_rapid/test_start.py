@@ -60,6 +60,23 @@ async def test_a_guard_that_says_nothing_is_no_start():
     assert "does not report where the arm is" in why
 
 
+async def test_modules_of_another_release_are_refused_by_name():
+    """Whose guard also says whether the arm moves."""
+
+    async def guard(reader, writer):
+        while data := await reader.read(80):
+            number = data.decode().split("#")[0].split()[1]
+            writer.write(f"P {number} 0 0 40 0 1 0 0 0 1#".encode())
+        writer.close()
+
+    server = await asyncio.start_server(guard, "127.0.0.1", 0)
+    async with listening() as motion:
+        why = await refusal(motion_port=motion, guard_port=server.sockets[0].getsockname()[1], silence_s=20.0)
+    server.close()
+    assert why.startswith("robot: protocol: the guard answered 'P ")
+    assert why.endswith("expected P with nine fields: load TactileGuard.mod and TactileMotion.mod of this release")
+
+
 @pytest.mark.parametrize("answers", [True, False])
 async def test_a_motion_server_that_hangs_up_before_the_first_move_is_named(answers):
     async def hang_up(_reader, writer):
@@ -68,7 +85,7 @@ async def test_a_motion_server_that_hangs_up_before_the_first_move_is_named(answ
     async def guard(reader, writer):
         while (data := await reader.read(80)) and answers:
             number = data.decode().split("#")[0].split()[1]
-            writer.write(f"P {number} 0 0 40 0 1 0 0 0 1#".encode())
+            writer.write(f"P {number} 0 0 40 0 1 0 0 1#".encode())
         writer.close()
 
     servers = [await asyncio.start_server(serve, "127.0.0.1", 0) for serve in (hang_up, guard)]
