@@ -35,12 +35,13 @@ Image = NDArray[np.uint8]
 
 @dataclass(slots=True)
 class Tally:
-    """Outcomes of the trials for one kind of evidence."""
+    """Outcomes of the trials for one kind of evidence; ``slips``: those of them in which something can be missed."""
 
     right: int = 0
     missed: int = 0
     false: int = 0
     trials: int = 0
+    slips: int = 0
     delays: list[int] = field(default_factory=list)
     onsets: list[int] = field(default_factory=list)
 
@@ -51,6 +52,7 @@ class Tally:
         if alarm is not None and alarm >= trial.still_frame and not standing:
             alarm = None
         self.trials += 1
+        self.slips += trial.slip_frame >= 0
         begun = np.flatnonzero(trial.share >= NO_SLIP_SHARE)
         if alarm is not None and (begun.size == 0 or alarm < begun[0]):
             self.false += 1
@@ -66,8 +68,9 @@ class Tally:
         spread = zip(("median", "p5", "p95"), percentiles(delays, 50, 5, 95), strict=True)
         return {
             "trials": self.trials,
+            "slips": self.slips,
             "accuracy": wilson(self.right, self.trials),
-            "misses": wilson(self.missed, self.trials),
+            "misses": wilson(self.missed, self.slips),
             "false": wilson(self.false, self.trials),
             "delay_frames": {**dict(spread), "within_one": float((np.abs(delays) <= 1).mean())},
             "onset_error_frames": {"exact": float(np.mean(np.array(self.onsets or [0]) == 0)), "n": len(self.onsets)},

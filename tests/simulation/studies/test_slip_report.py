@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from reporting.statistics import wilson
 from simulation.__main__ import main
 from simulation.studies.slip import tracking
 from simulation.studies.slip.detection import Tally, alarm_of, true_fields
@@ -24,12 +25,15 @@ def test_trials_know_their_truth_and_repeat():
 
 
 def test_a_late_and_an_early_alarm_are_not_right():
-    trial = next(trial for trial in draw_trials(16, 3, 30) if trial.label == "slip")
+    trials = list(draw_trials(16, 3, 30))
+    trial = next(trial for trial in trials if trial.label == "slip")
     tally = Tally()
     tally.add(trial, 1)
     tally.add(trial, None)
     tally.add(trial, trial.slip_frame)
     assert (tally.false, tally.missed, tally.right) == (1, 1, 1)
+    tally.add(next(trial for trial in trials if trial.label == "none"), None)
+    assert tally.summary()["misses"] == wilson(1, 3), "only a slip can be missed"
 
 
 @pytest.mark.slow
