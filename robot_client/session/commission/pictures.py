@@ -45,7 +45,10 @@ async def picture_of(service: ServiceSettings, insertion_id: str, caption: str) 
 async def _panels(http: httpx.AsyncClient, insertion_id: str) -> AsyncIterator[Panel]:
     name = await _recorded(http, insertion_id)
     curves = await _got(http, f"recordings/{name}/timeline")
-    pressed = curves["moments"][-1]  # of the standstill: nothing is judged after it
+    shown = [moment for moment in curves["moments"] if all(moment[finger] for finger in FINGERS)]
+    if not shown:
+        raise DriverError(f"service: no picture of {insertion_id}: at no moment had both fingers one")
+    pressed = shown[-1]  # of the standstill: nothing is judged after it
     for finger in FINGERS:
         for state, at_ns in (("open", curves["open"][finger]), ("pressed", pressed[finger])):
             yield f"{finger}, {state}", await _got(http, f"recordings/{name}/moments/{finger}/{at_ns}")

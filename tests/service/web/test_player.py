@@ -1,5 +1,6 @@
 """The playback in a real Chromium: what belongs to one recording never shows up in another."""
 
+import json
 from typing import Any
 
 import pytest
@@ -75,6 +76,35 @@ def test_a_recording_without_frames_shows_none_of_the_one_before(live: LiveServi
     for finger in ("left", "right"):
         assert page.locator(f"#{finger}-then-state").text_content() == ""
         assert colours(page, f"{finger}-then") == 1, "an empty drawing"
+
+
+@pytest.mark.parametrize("gone", ["left", "right"])
+def test_a_finger_without_a_picture_at_a_moment_is_grey_and_named(live: LiveService, page: Any, gone: str) -> None:
+    insertion(live, f"no-{gone}").after(1).gives_up()
+
+    def answer(route: Any) -> None:
+        curves = route.fetch().json()
+        curves["moments"][-1][gone] = None
+        route.fulfill(json=curves)
+
+    page.route("**/timeline", answer)
+    page.goto(live.url("/#history"))
+    page.get_by_label(f"play back no-{gone}", exact=True).click()
+    state = f"document.getElementById('{gone}-then-state').textContent"
+    grey = f"document.getElementById('{gone}-then').classList.contains('stale')"
+    for key, lost in (("Home", False), ("End", True), ("Home", False)):
+        page.locator("#scrub").focus()
+        page.keyboard.press(key)
+        wait_until(page, f"{state} !== '' && ({state} === 'no picture') === {json.dumps(lost)}")
+        assert page.evaluate(grey) is lost
+        assert page.locator("canvas.stale:visible").count() == lost, "the other one is of that moment"
+    page.keyboard.press("End")
+    wait_until(page, grey)
+    page.locator("#close").click()
+    page.unroute("**/timeline")
+    page.get_by_label(f"play back no-{gone}", exact=True).click()
+    wait_until(page, f"{state} !== '' && !{grey}")
+    assert page.problems == []
 
 
 @pytest.mark.parametrize("attempts_n", [0, 1])
