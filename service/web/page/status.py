@@ -234,8 +234,9 @@ class Status:
                 counted = "Regrasped: "
             words = PHASES.get(running.phase, running.phase)
             text = words[:1].lower() + words[1:] if counted else words  # a client may name no phase
-            level = "warning" if running.phase in ANSWERED or bad else "busy"
-            detail = ". ".join(part for part in (unseen, running.problem) if part)
+            alone = "" if health["driver"] else "No connection to the robot client"
+            level = "warning" if running.phase in ANSWERED or bad or alone else "busy"
+            detail = ". ".join(part for part in (alone, unseen, running.problem) if part)
             return {"level": level, "words": counted + text, "detail": detail}
         if stop is not None:
             return {"level": "stop", "words": stop.title, "detail": f"{stop.remedy}\n{stop.detail}".strip()}
@@ -262,7 +263,7 @@ class Status:
         return {
             "ready": station.ready,
             "cameras": {f: station.cameras[f].entry.model_dump() for f in FINGERS},
-            "driver": active.session.insertion_id if active else None,
+            "driver": active.session.insertion_id if active and active.send else None,
             "recording": self._disk.problem(),
             "frames_dropped_n": station.counters.frames_dropped_n,
             "insertions_n": station.manager.opened_n,
