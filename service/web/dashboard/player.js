@@ -16,7 +16,7 @@ export async function play(one) {
   clear();
   at("then").textContent = "Reading the recording";
   at("player").showModal();
-  const { ok, told } = await ask(`${mine.base}/timeline`);
+  const { ok, told } = await ask(`${mine.base}/timeline?earlier_n=${one.earlier_n}`);
   if (shown !== mine) return;
   if (!ok) { at("then").textContent = told.error; return; }
   Object.assign(mine, { moments: told.moments, events: told.events });

@@ -27,9 +27,10 @@ UNFELT: dict[str, Any] = {"rest": [], "moved": [], "kinds": [], "pitch": 0.0}
 
 
 class Curves:
-    """Collects the curves of a recording. Times are in ns until output."""
+    """Collects the curves of a recording. Times are in ns until output. ``earlier_n``: as of `sentences.event`."""
 
-    def __init__(self) -> None:
+    def __init__(self, earlier_n: int = 0) -> None:
+        self._earlier_n = earlier_n
         self.slip: dict[str, list[tuple[int, float]]] = {finger: [] for finger in FINGERS}
         self.push: dict[str, list[tuple[int, float]]] = {finger: [] for finger in FINGERS}
         self.depth: list[tuple[int, float]] = []
@@ -62,7 +63,7 @@ class Curves:
             self._rest.clear()
         elif sender == "client" and message["type"] == "abort":
             self.events.append((at_ns, message["reason"]))
-        elif sender == "service" and (entry := _line(message)):
+        elif sender == "service" and (entry := _line(message, self._earlier_n)):
             self.events.append((at_ns, entry))
 
     def as_json(self) -> dict[str, Any]:
@@ -101,20 +102,21 @@ def _nearest(stamps: list[int], at_ns: int) -> str | None:
     return str(stamp) if stamp is not None and off_ns <= PERIOD_NS else None
 
 
-def _line(message: dict[str, Any]) -> str:
+def _line(message: dict[str, Any], earlier_n: int) -> str:
     """The line of a message of the service; of one that another version sent, at least its name."""
     try:
-        return event(parse_service(json.dumps(message)))
+        return event(parse_service(json.dumps(message)), earlier_n)
     except ContractError:
         return f"{message['type']}, from another version of the service".replace("_", " ")
 
 
-def timeline(path: Path) -> dict[str, Any]:
+def timeline(path: Path, earlier_n: int = 0) -> dict[str, Any]:
     """The curves of a recording; raises RecordingError if it cannot be read.
 
-    ``open``: the stamp of each finger's first picture, which is of its open gel if the hand was open then.
+    ``earlier_n``: attempts with the object in its earlier grasps, from which its own are counted on. ``open``: the
+    stamp of each finger's first picture, which is of its open gel if the hand was open then.
     """
-    curves = Curves()
+    curves = Curves(earlier_n)
     with opened(path) as reader:
         first = {finger: next(_messages(reader, _images(finger)), None) for finger in FINGERS}
         for topic, at_ns, data in _messages(reader, TOPICS):

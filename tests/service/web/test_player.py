@@ -8,6 +8,7 @@ import pytest
 from tests.service.conftest import LiveService
 from tests.service.web import test_dashboard
 from tests.service.web.test_dashboard import colours, insertion, wait_until
+from tests.service.web.test_regrasps import put_back
 
 browser, page, pytestmark = test_dashboard.browser, test_dashboard.page, test_dashboard.pytestmark
 PLAYED = "document.querySelectorAll('#curves canvas').length === 3"
@@ -27,7 +28,7 @@ def test_an_answer_that_comes_late_is_not_shown_in_the_recording_opened_since(
     for name in ("late", "prompt"):
         insertion(live, name).after(1).gives_up()
     held: list[Any] = []
-    page.route("**/*_late/timeline", lambda route: held.append(route))  # noqa: PLW0108 - a method of a list takes no mark
+    page.route("**/*_late/timeline?*", lambda route: held.append(route))  # noqa: PLW0108 - a method of a list takes no mark
     page.goto(live.url("/#history"))
     page.get_by_label("play back late", exact=True).click()
     while not held:
@@ -87,7 +88,7 @@ def test_a_finger_without_a_picture_at_a_moment_is_grey_and_named(live: LiveServ
         curves["moments"][-1][gone] = None
         route.fulfill(json=curves)
 
-    page.route("**/timeline", answer)
+    page.route("**/timeline?*", answer)
     page.goto(live.url("/#history"))
     page.get_by_label(f"play back no-{gone}", exact=True).click()
     state = f"document.getElementById('{gone}-then-state').textContent"
@@ -101,9 +102,24 @@ def test_a_finger_without_a_picture_at_a_moment_is_grey_and_named(live: LiveServ
     page.keyboard.press("End")
     wait_until(page, grey)
     page.locator("#close").click()
-    page.unroute("**/timeline")
+    page.unroute("**/timeline?*")
     page.get_by_label(f"play back no-{gone}", exact=True).click()
     wait_until(page, f"{state} !== '' && !{grey}")
+    assert page.problems == []
+
+
+def test_the_playback_of_an_object_that_was_put_back_counts_as_its_title_does(live: LiveService, page: Any) -> None:
+    put_back(live, "before", "refused")
+    again = insertion(live, "after", continues="before")
+    again.insert(1)
+    again.close()
+    page.goto(live.url("/#history"))
+    page.get_by_label("play back after", exact=True).click()
+    wait_until(page, PLAYED)
+    assert page.locator("#player-title").text_content().endswith("inserted, after 2 attempts")
+    page.locator("#scrub").focus()
+    page.keyboard.press("End")
+    wait_until(page, "document.getElementById('then').textContent.endsWith('object inserted after 2 attempts')")
     assert page.problems == []
 
 
