@@ -7,7 +7,7 @@ recording or folder of images (played at its own pace, in a loop), ``push:`` (a 
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -239,6 +239,13 @@ class Camera:
 
 def _size(shape: tuple[int, ...]) -> str:
     return f"{shape[1]} x {shape[0]}"
+
+
+def frame_age_ms(cameras: Iterable[Camera], at_ns: int) -> float | None:
+    """Age of the newest frame of the camera that is further behind, None before each has one."""
+    newest = [camera.newest_ns for camera in cameras]
+    known = [stamp_ns for stamp_ns in newest if stamp_ns is not None]
+    return (at_ns - min(known)) / 1e6 if len(known) == len(newest) else None
 
 
 class Pairer:

@@ -91,11 +91,14 @@ def pressed_mm(attempt: Attempt) -> float:
 
 
 def touch_of(attempt: Attempt) -> Touch | None:
-    """Where a blocked attempt touched; None without an onset, after a pause, or where the tops may not be level."""
+    """Where a blocked attempt touched; None without an onset, after a pause, or where the tops may not be level.
+
+    Its height counts from full depth: a client may arm each attempt from another one.
+    """
     level_mm, pressed = attempt.arm.tops_level_mm, pressed_mm(attempt)
     if level_mm is None or attempt.paused_in_press or not 0.0 < pressed < math.inf:
         return None
-    return Touch(attempt.depth_mm - pressed, 0.5 * attempt.arm.gap_width_mm, level_mm)
+    return Touch(attempt.depth_mm - pressed - attempt.arm.expected_depth_mm, 0.5 * attempt.arm.gap_width_mm, level_mm)
 
 
 def slid_mm(attempt: Attempt) -> float:

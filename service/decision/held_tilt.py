@@ -37,7 +37,7 @@ _DEPTH, _TILT, _LEVEL, _HIDDEN = range(4)
 
 
 class Touch(NamedTuple):
-    """Where a blocked attempt touched: TCP below the armed pose, half the gap, and how level its tops are, mm."""
+    """Where a blocked attempt touched: TCP below full depth, half the gap, and how level its tops are, mm."""
 
     depth_mm: float
     lever_mm: float

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import wire
-from service.contract.model_card import CONDITIONS
+from service.contract.model_card import CONDITIONS, ModelCard
 from service.decision.attempt import Attempt, Stage, WorkResult
 from service.decision.consistency import turns_deg
 from service.decision.controllers import Command
@@ -222,10 +222,10 @@ def shown_turns_deg(attempt: Attempt) -> tuple[float, float] | None:
     return turns if all(map(math.isfinite, turns)) else None
 
 
-def overdue(attempt: Attempt, waited_s: float, needed: int, deadlines: Deadlines) -> Refusal | None:
+def overdue(attempt: Attempt, waited_s: float, card: ModelCard, deadlines: Deadlines) -> Refusal | None:
     """Why no decision will come any more, None while it still may."""
-    have = len(attempt.decision_pairs)
-    if attempt.fed or have >= needed:
+    have, needed = len(attempt.decision_pairs), card.frames_per_decision
+    if attempt.fed or (not card.pressing and have >= needed):  # steps of depth are no pairs: one may still be missing
         late = waited_s > deadlines.decision_s
         return Refusal("stale", f"the networks took longer than {deadlines.decision_s:g} s") if late else None
     if waited_s <= deadlines.decision_frames_s:
@@ -235,6 +235,8 @@ def overdue(attempt: Attempt, waited_s: float, needed: int, deadlines: Deadlines
         empty = bool(last_pair) and all(finger.slip.state == "no_contact" for finger in last_pair)
         why = "nothing touches the gels" if empty else "neither finger saw the object move"
         return Refusal("no_motion", why)
+    if card.pressing:
+        return Refusal("too_few_frames", "no pair came after the stop")
     return Refusal("too_few_frames", f"{have} frame pairs since motion began, expected {needed}")
 
 

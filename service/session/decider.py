@@ -80,7 +80,7 @@ class Decider:
         if refusal := unknown_depth(attempt):  # at once: the frames that it lacks may never come
             return self._refuse(attempt, refusal)
         if attempt.result is None:
-            refusal = overdue(attempt, _stood_s(attempt, now_ns), self.models.card.frames_per_decision, self.deadlines)
+            refusal = overdue(attempt, _stood_s(attempt, now_ns), self.models.card, self.deadlines)
             return None if refusal is None else self._refuse(attempt, refusal)
         if attempt.result.evidence is None:
             return self._refuse(attempt, self._explained(attempt))

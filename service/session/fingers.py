@@ -1,4 +1,4 @@
-"""Both fingers of a session: their perception, their newest observations and ages, and their open gels."""
+"""Both fingers of a session: their perception, their newest observations, and their open gels."""
 
 from collections import deque
 from dataclasses import dataclass, field, replace
@@ -19,16 +19,12 @@ IMPRINT_SLIDES = "the imprint slides"
 
 @dataclass(slots=True)
 class Fingers:
-    """Each finger detects slip by its own markers; the imprints of both detect slides together.
-
-    An age is that of the older finger.
-    """
+    """Each finger detects slip by its own markers; the imprints of both detect slides together."""
 
     left: FingerWatch
     right: FingerWatch
     _observations: dict[Finger, Observation] = field(default_factory=dict)
     _earlier: deque[Observation] = field(default_factory=lambda: deque(maxlen=len(FINGERS) * WAITING_N))
-    _newest_ns: dict[Finger, int] = field(default_factory=dict)
     grasp: Grasp = field(default_factory=lambda: Grasp(len(FINGERS)))
     _grasped_in: int = 0
     _faint: dict[Finger, float] = field(default_factory=dict)
@@ -36,11 +32,6 @@ class Fingers:
 
     def watch(self, finger: Finger) -> FingerWatch:
         return self.left if finger == "left" else self.right
-
-    def note(self, *frames: TactileFrame) -> None:
-        """Note the arrival of these frames, examined or not."""
-        for frame in frames:
-            self._newest_ns[frame.finger] = frame.captured_ns
 
     def observe(self, frame: TactileFrame) -> Observation:
         """Perceive a frame, and keep it as its finger's newest."""
@@ -126,14 +117,10 @@ class Fingers:
             return finger.touch
         return None if finger.bulge is None else finger.bulge / self._faint[finger.finger]
 
-    def age_ms(self, now_ns: int) -> float | None:
-        """Age of the newest frame; None until both fingers have one."""
-        return (now_ns - min(self._newest_ns.values())) / 1e6 if len(self._newest_ns) == len(FINGERS) else None
-
     def stale(self, now_ns: int, allowed_ms: float) -> str:
-        """Why the frames are too old, or ""."""
-        age_ms = self.age_ms(now_ns)
-        if age_ms is None or age_ms <= allowed_ms:
+        """Why the frames are too old, or ""; the fingers are as old as the one that is further behind."""
+        newest_ns = [observation.captured_ns for observation in self._observations.values()]
+        if len(newest_ns) < len(FINGERS) or (age_ms := (now_ns - min(newest_ns)) / 1e6) <= allowed_ms:
             return ""
         return f"a finger's newest frame is {age_ms:.0f} ms old; hold until it is back"
 

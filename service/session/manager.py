@@ -16,7 +16,7 @@ import numpy as np
 import onnxruntime
 
 from service import __version__
-from service.cameras.capture import Camera, now_ns
+from service.cameras.capture import Camera, frame_age_ms, now_ns
 from service.contract import FINGERS, Finger, wire
 from service.contract.refusals import reason
 from service.contract.replies import beat, descended_n
@@ -179,6 +179,7 @@ class InsertionManager:
             self.models, self.calibration, given.controller, given.limits, imprint=given.imprint_slip
         )
         session.cameras, session.submit = self.camera_entries, self.submit
+        session.age_ms = lambda at_ns: frame_age_ms(self.cameras.values(), at_ns)
         if before and before.models is not session.models:
             before = None
         session.decider = before and before.afresh(hello.insertion_id)

@@ -27,7 +27,7 @@ DEFAULT_LIMITS = Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=50
 
 
 def ignore(_: Any) -> None:
-    """Default observer: does nothing."""
+    """Default observer: does nothing, and knows nothing."""
 
 
 @dataclass(slots=True)
@@ -46,6 +46,7 @@ class InsertionSession:
     limits: Limits = DEFAULT_LIMITS
     deadlines: Deadlines = field(default_factory=Deadlines)
     cameras: Callable[[], tuple[CameraEntry, ...]] = tuple
+    age_ms: Callable[[int], float | None] = ignore
     submit: Callable[[Work], None] | None = None
     on_observation: Callable[[Observation], None] = ignore
     on_attempt: Callable[[Attempt], None] = ignore
@@ -79,7 +80,7 @@ class InsertionSession:
             case _ if self.insertion_id is None:
                 replies = [self._fault("protocol", f"{message.type} before hello", message.insertion_id)]
             case wire.ClientHeartbeat():
-                replies = [beat(message, now_ns, self._fingers.age_ms(now_ns))]
+                replies = [beat(message, now_ns, self.age_ms(now_ns))]
             case _ if self.finished is not None:
                 replies = [self.finished]
             case wire.Abort():
@@ -183,7 +184,6 @@ class InsertionSession:
 
     def on_frame(self, frame: TactileFrame, now_ns: int) -> Replies:
         """Perceive one finger's frame; report slip at once, otherwise that both fingers are watched."""
-        self._fingers.note(frame)
         attempt, watch = self.attempt, self._fingers.watch(frame.finger)
         if self.open_gels.waiting:
             return self.open_gels.take(str(self.insertion_id), watch, frame)
@@ -205,7 +205,6 @@ class InsertionSession:
             return [*self.on_frame(pair.left, now_ns), *self.on_frame(pair.right, now_ns)]
         attempt = self.attempt
         if attempt is None or not self.wants_frames:
-            self._fingers.note(pair.left, pair.right)
             return []
         replies = [answer for frame in self._fingers.missing(pair) for answer in self.on_frame(frame, now_ns)]
         if attempt.stage is Stage.ARMING:

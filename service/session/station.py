@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import IO, Any
 
-from service.cameras.capture import Camera, CameraError, CameraFrame, Pairer, now_ns
+from service.cameras.capture import Camera, CameraError, CameraFrame, Pairer, frame_age_ms, now_ns
 from service.cameras.sources import PushSource, open_source
 from service.contract import FINGERS, ContractError, Finger, FramePair, wire
 from service.decision.models import ModelSet, load_models
@@ -239,9 +239,7 @@ class Station:
 
     def frame_age_ms(self) -> float | None:
         """Age of the newest frame of the older finger, None before the first."""
-        newest = [camera.newest_ns for camera in self.cameras.values()]
-        ages = [(now_ns() - stamp_ns) / 1e6 for stamp_ns in newest if stamp_ns is not None]
-        return max(ages) if len(ages) == len(newest) else None
+        return frame_age_ms(self.cameras.values(), now_ns())
 
     # ---- clients ---------------------------------------------------------------------------------------------------
 

@@ -25,7 +25,8 @@ class Wiring(Contract):
     """Which version decides, which run beside it, and the evidence for those.
 
     ``released``: the version in the service's models folder, the origin of all others. ``rejected``: why, by version,
-    the latest last: its files stay, so that its recordings can be decided again.
+    the latest last: its files stay, so that its recordings can be decided again. ``given``: the shadow that the
+    settings gave last; what a person has changed since stays changed.
     """
 
     schema_version: Literal[1] = 1
@@ -34,6 +35,7 @@ class Wiring(Contract):
     beside: dict[Role, str] = Field(default_factory=dict)
     contests: dict[Role, Contest] = Field(default_factory=dict)
     rejected: dict[str, str] = Field(default_factory=dict)
+    given: str = ""
     sha256: str = ""
 
     def contest(self, role: Role) -> Contest:

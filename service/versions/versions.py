@@ -108,6 +108,8 @@ class Versions:
                 networks[version] = networks.get(version) or self._store.load(version)
             except (ContractError, OSError) as error:
                 wiring, self.problem = wiring.without(role), f"the {role} version is left out: {error}"
+                if version == wiring.given:  # so that the settings give it again
+                    wiring = wiring.model_copy(update={"given": ""})
         for version in networks.keys() - self._now.networks:
             _warn(version, networks[version])
         self._now = _Now(wiring, networks)
@@ -148,11 +150,11 @@ class Versions:
         """Let a folder's networks run in shadow, replacing the present shadow.
 
         Raises ContractError if they cannot serve, cannot be compared, already decide, or were rejected, OSError as
-        usual. A setting repeats the same request ``at_start`` each time: a version that has a role keeps it, and what
-        is refused is a `problem`, because the cell works without a shadow.
+        usual. A setting repeats the same request ``at_start`` each time: it is met once, so that what a person changes
+        persists, and what is refused is a `problem`, because the cell works without a shadow.
         """
         try:
-            self._give(folder, again=at_start)
+            self._give(folder, at_start=at_start)
         except (ContractError, OSError) as error:
             if not at_start:
                 raise
@@ -160,21 +162,27 @@ class Versions:
             if "shadow" not in self._now.wiring.beside:
                 self.problem = f"no shadow: {error}"
 
-    def _give(self, folder: Path, *, again: bool) -> None:
+    def _give(self, folder: Path, *, at_start: bool) -> None:
         models = load_models(folder)
         with self._lock:
             version, wiring = version_of(models), self._now.wiring
             if version in {wiring.active, *wiring.beside.values()}:
-                if not again and version != wiring.beside.get("shadow"):
+                if not at_start and version != wiring.beside.get("shadow"):
                     raise ContractError(f"{folder} holds version {version}, which decides now, or did before")
+                if at_start and version not in {wiring.given, wiring.released}:
+                    self._wire(wiring.model_copy(update={"given": version}))
                 return
             if why := wiring.rejected.get(version):
                 raise ContractError(f"{folder} holds version {version}, which was rejected: {why}")
+            if at_start and version == wiring.given:
+                return
             if differs := self._now.active.card.incomparable(models.card):
                 raise ContractError(f"{folder} cannot run in shadow: {differs[0]}")
             _warn(version, models)
             kept = {**self._now.networks, self._store.keep(models): self._store.load(version)}
-            self._change("shadow", version, f"given as {folder}", wiring.with_one("shadow", version, Contest()), kept)
+            wiring = wiring.with_one("shadow", version, Contest())
+            wiring = wiring.model_copy(update={"given": version}) if at_start else wiring
+            self._change("shadow", version, f"given as {folder}", wiring, kept)
             self.problem = ""
 
     def drop(self) -> None:
@@ -215,9 +223,13 @@ class Versions:
                 if compared and version in held:
                     contest = contest.held(held[version], held[wiring.active])
                 wiring = wiring.with_one(role, version, contest)
-            self._now = self._now._replace(wiring=wiring)
-            self._store.wire(wiring)
+            self._wire(wiring)
             self._decide(wiring)
+
+    def _wire(self, wiring: Wiring) -> None:
+        """Take and store a wiring in which every version keeps its role."""
+        self._now = self._now._replace(wiring=wiring)
+        self._store.wire(wiring)
 
     def _decide(self, wiring: Wiring) -> None:
         """Change places as the evidence says; a rollback takes precedence over a promotion."""

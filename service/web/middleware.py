@@ -24,7 +24,7 @@ MAX_BODY_BYTES = 32 << 20  # per request
 MAX_BODIES_BYTES = 64 << 20  # of all requests held at once
 IPV6_SITE_BITS = 64  # a subscriber's own part: a new address in it is no new peer
 ALWAYS = {"/healthz", "/readyz", "/metrics", "/v2/health/live", "/v2/health/ready"}
-INSERTION = {"/", "/v1/insertion", "/v1/insertions/ws"}
+INSERTION = {"/", "/v1/insertion"}
 CONTENT_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self';"
     " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"

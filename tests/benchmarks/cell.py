@@ -127,7 +127,7 @@ class SteppedCell:
         self.done += 1
         name = f"bench-{self.done}-{time.monotonic_ns()}"
         self.show(0)
-        url = self.service.url("/v1/insertions/ws", "ws")
+        url = self.service.url("/v1/insertion", "ws")
         with connect(url, additional_headers=self.service.bearer, compression=None) as link:
             link.send(wire.ClientHello(insertion_id=name, client="bench", purpose="probe").model_dump_json())
             self._until(link, "hello")

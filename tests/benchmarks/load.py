@@ -50,7 +50,7 @@ def busy_service(
 
 @contextlib.contextmanager
 def armed(service: ServiceProcess) -> Iterator[ClientConnection]:
-    with connect(service.url("/v1/insertions/ws", "ws"), additional_headers=service.bearer, compression=None) as link:
+    with connect(service.url("/v1/insertion", "ws"), additional_headers=service.bearer, compression=None) as link:
         name = f"load-{time.monotonic_ns()}"
         link.send(wire.ClientHello(insertion_id=name, client="bench", purpose="probe").model_dump_json())
         arm = wire.Arm(insertion_id=name, attempt=1, gap_width_mm=56.0, expected_depth_mm=25.0)

@@ -18,7 +18,7 @@ class Driver:
         if station := getattr(live, "station", None):  # not of a process of its own, which has held nothing before
             station.manager.held_over = ""  # this client has no gripper to open: each test grasps its object anew
         self.socket: ClientConnection = connect(
-            live.url("/v1/insertions/ws", "ws"), additional_headers=live.bearer, compression=None
+            live.url("/v1/insertion", "ws"), additional_headers=live.bearer, compression=None
         )
         self.send(wire.ClientHello(insertion_id=insertion_id, client="test", **hello))
 

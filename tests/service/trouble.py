@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 from tests.service.mjpeg import FakeFinger
 from tests.service.process import ServiceProcess
 
-SOCKETS = ("/", "/v1/insertions/ws", "/v1/live", "/v1/cameras/left/frames", "/v1/cameras/left/push", "/nowhere")
+SOCKETS = ("/", "/v1/insertion", "/v1/live", "/v1/cameras/left/frames", "/v1/cameras/left/push", "/nowhere")
 PATHS = ("/v1/models", "/v1/recordings/x", "/v1/decisions", "/v2/models/direction.step/infer", "/v2/repository/index")
 LINK = {"compression": None, "open_timeout": 20}
 EXPECTED = (OSError, WebSocketException, httpx.HTTPError, EOFError)

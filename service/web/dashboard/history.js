@@ -18,7 +18,10 @@ export async function listPast() {
   if (!ok) { at("count").textContent = told.error; return; }
   const { recordings, problems } = told;
   all = recordings;
-  for (const one of [...all].reverse()) one.attempts = one.descended_n + earlier(one);
+  for (const one of [...all].reverse()) {
+    one.earlier_n = earlier(one);
+    one.attempts = one.descended_n + one.earlier_n;
+  }
   more = all.length > LISTED ? `; the newest ${LISTED} listed` : "";
   all = all.slice(0, LISTED);
   at("problems").replaceChildren(...problems.map((textContent) => element("p", { className: "bad", textContent })));

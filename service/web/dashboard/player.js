@@ -16,7 +16,7 @@ export async function play(one) {
   clear();
   at("then").textContent = "Reading the recording";
   at("player").showModal();
-  const { ok, told } = await ask(`${mine.base}/timeline`);
+  const { ok, told } = await ask(`${mine.base}/timeline?earlier_n=${one.earlier_n}`);
   if (shown !== mine) return;
   if (!ok) { at("then").textContent = told.error; return; }
   Object.assign(mine, { moments: told.moments, events: told.events });
@@ -34,6 +34,7 @@ function clear() {
   for (const finger of FINGERS) {
     const canvas = at(`${finger}-then`);
     canvas.getContext("2d").clearRect(0, 0, canvas.width, canvas.height);
+    canvas.classList.remove("stale");
     at(`${finger}-then-state`).textContent = "";
   }
 }
@@ -89,14 +90,22 @@ async function drawBoth(mine) {
   mine.asking = true;
   while (mine.drawn !== mine.moment) {
     const { moment } = mine;
-    const answers = await Promise.all(FINGERS.map((finger) => ask(`${mine.base}/moments/${finger}/${moment[finger]}`)));
+    const answers = await Promise.all(FINGERS.map((finger) => moment[finger] && ask(`${mine.base}/moments/${finger}/${moment[finger]}`)));
     if (shown !== mine) return;
-    const refused = answers.find(({ ok }) => !ok);
+    const refused = answers.find((answer) => answer && !answer.ok);
     if (refused) { stop(); at("then").textContent = refused.told.error; break; }
-    FINGERS.forEach((finger, i) => drawFelt(at(`${finger}-then`), at(`${finger}-then-state`), answers[i].told));
+    FINGERS.forEach((finger, i) => drawThen(finger, answers[i]));
     mine.drawn = moment;
   }
   mine.asking = false;
+}
+
+// What a finger felt; of one without a picture at that moment the one before stays, but is no picture of it.
+function drawThen(finger, answer) {
+  const canvas = at(`${finger}-then`), caption = at(`${finger}-then-state`);
+  canvas.classList.toggle("stale", !answer);
+  if (answer) drawFelt(canvas, caption, answer.told);
+  else Object.assign(caption, { textContent: "no picture", className: "bad" });
 }
 
 function stop() {

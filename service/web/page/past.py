@@ -30,7 +30,7 @@ class Last:
 
 
 def newest(root: Path) -> tuple[Last | None, Running | None]:
-    """How the last recorded insertion ended, and its state if its object was to be regrasped."""
+    """How the last recorded insertion ended, and its state if another one may go on with its object."""
     listed, _ = list_recordings(root, most_n=MOST_GRASPS_N)
     if not listed:
         return None, None
@@ -41,7 +41,7 @@ def newest(root: Path) -> tuple[Last | None, Running | None]:
     words = ended(one["outcome"], one["cause"], attempts_n, named, len(grasps) - 1)
     at_s = _ended_s(one) if afresh else None
     last = Last(one["insertion_id"], one["outcome"], one["cause"], words, attempts_n, named, at_s, one["seconds"])
-    if not afresh:
+    if one["outcome"] == "inserted":
         return last, None
     put_back = Running(one["insertion_id"], object=named, afresh_n=len(grasps) - 1)
     put_back.descended_n = earlier_n + one["descended_n"]

@@ -19,7 +19,7 @@ from service.recordings.writer import IMAGE
 from service.web.page.broadcast import kinds, shown
 from service.web.page.sentences import event
 
-PERIOD_NS = 50_000_000  # of the selectable moments
+PERIOD_NS = 50_000_000  # of the selectable moments; a picture further off is of another one
 USUAL_SHAPE = (320, 327, 3)  # of a rectified frame, where no calibration states it
 TOPICS = [*(f"/{finger}/markers" for finger in FINGERS), "/robot", "/messages"]
 UNFELT: dict[str, Any] = {"rest": [], "moved": [], "kinds": [], "pitch": 0.0}
@@ -27,17 +27,23 @@ UNFELT: dict[str, Any] = {"rest": [], "moved": [], "kinds": [], "pitch": 0.0}
 
 
 class Curves:
-    """Collects the curves of a recording. Times are in ns until output."""
+    """Collects the curves of a recording. Times are in ns until output. ``earlier_n``: as of `sentences.event`."""
 
-    def __init__(self) -> None:
+    def __init__(self, earlier_n: int = 0) -> None:
+        self._earlier_n = earlier_n
         self.slip: dict[str, list[tuple[int, float]]] = {finger: [] for finger in FINGERS}
         self.push: dict[str, list[tuple[int, float]]] = {finger: [] for finger in FINGERS}
         self.depth: list[tuple[int, float]] = []
         self.events: list[tuple[int, str]] = []
+        self._examined: dict[str, list[int]] = {finger: [] for finger in FINGERS}
         self._rest: dict[str, float] = {}
 
     def markers(self, finger: str, at_ns: int, data: bytes) -> None:
-        """Slip, and the upward shear of the gel since the attempt began, in marker pitches."""
+        """Slip, and the upward shear of the gel since the attempt began, in marker pitches.
+
+        Where no marker is visible, only that the finger was examined.
+        """
+        self._examined[finger].append(at_ns)
         markers = Markers.FromString(data)
         moved = np.array(markers.displacement_px, np.float32).reshape(-1, 2)
         valid = np.frombuffer(markers.valid, np.uint8) > 0
@@ -57,13 +63,13 @@ class Curves:
             self._rest.clear()
         elif sender == "client" and message["type"] == "abort":
             self.events.append((at_ns, message["reason"]))
-        elif sender == "service" and (entry := _line(message)):
+        elif sender == "service" and (entry := _line(message, self._earlier_n)):
             self.events.append((at_ns, entry))
 
     def as_json(self) -> dict[str, Any]:
         """Seconds since the first of all points, and values; ``moments`` are the stamps of both fingers' frames."""
-        curves = [*self.slip.values(), *self.push.values(), self.depth]
-        start_ns = min([points[0][0] for points in curves if points] + [at for at, _ in self.events], default=0)
+        firsts = [stamps[0] for stamps in self._examined.values() if stamps] + [at for at, _ in self.depth[:1]]
+        start_ns = min(firsts + [at for at, _ in self.events], default=0)
 
         def of(points: list[tuple[int, float]]) -> list[list[float]]:
             return [[round((at - start_ns) / 1e9, 3) for at, _ in points], [round(value, 4) for _, value in points]]
@@ -77,31 +83,40 @@ class Curves:
         }
 
     def _moments(self, start_ns: int) -> Iterator[dict[str, Any]]:
-        """At most one per ``PERIOD_NS``; stamps as text, because JavaScript numbers cannot hold them."""
-        left, right = ([at for at, _ in self.slip[finger]] for finger in FINGERS)
+        """At most one per ``PERIOD_NS`` at which a finger was examined; None for one that was not, within that time.
+
+        Stamps are text, because JavaScript numbers cannot hold them.
+        """
         last_ns = -PERIOD_NS
-        for at in left if right else ():
-            if at - last_ns >= PERIOD_NS:
-                last_ns = at
-                after = bisect_left(right, at)  # at an attempt's end the next one may come seconds later
-                _, other = min((abs(one - at), one) for one in right[max(0, after - 1) : after + 1])
-                yield {"t": round((at - start_ns) / 1e9, 3), "left": str(at), "right": str(other)}
+        for at_ns in sorted({at for stamps in self._examined.values() for at in stamps}):
+            if at_ns - last_ns >= PERIOD_NS:
+                last_ns = at_ns
+                near: dict[str, Any] = {finger: _nearest(self._examined[finger], at_ns) for finger in FINGERS}
+                yield {"t": round((at_ns - start_ns) / 1e9, 3)} | near
 
 
-def _line(message: dict[str, Any]) -> str:
+def _nearest(stamps: list[int], at_ns: int) -> str | None:
+    """The stamp nearest to a time, None if it is of another moment: the next one may come seconds later."""
+    after = bisect_left(stamps, at_ns)
+    off_ns, stamp = min(((abs(one - at_ns), one) for one in stamps[max(0, after - 1) : after + 1]), default=(0, None))
+    return str(stamp) if stamp is not None and off_ns <= PERIOD_NS else None
+
+
+def _line(message: dict[str, Any], earlier_n: int) -> str:
     """The line of a message of the service; of one that another version sent, at least its name."""
     try:
-        return event(parse_service(json.dumps(message)))
+        return event(parse_service(json.dumps(message)), earlier_n)
     except ContractError:
         return f"{message['type']}, from another version of the service".replace("_", " ")
 
 
-def timeline(path: Path) -> dict[str, Any]:
+def timeline(path: Path, earlier_n: int = 0) -> dict[str, Any]:
     """The curves of a recording; raises RecordingError if it cannot be read.
 
-    ``open``: the stamp of each finger's first picture, which is of its open gel if the hand was open then.
+    ``earlier_n``: attempts with the object in its earlier grasps, from which its own are counted on. ``open``: the
+    stamp of each finger's first picture, which is of its open gel if the hand was open then.
     """
-    curves = Curves()
+    curves = Curves(earlier_n)
     with opened(path) as reader:
         first = {finger: next(_messages(reader, _images(finger)), None) for finger in FINGERS}
         for topic, at_ns, data in _messages(reader, TOPICS):
@@ -160,9 +175,10 @@ def _messages(reader: McapReader, topics: list[str], at_ns: int | None = None) -
 
 
 def _pitch(markers: Any) -> float:
-    """Distance of neighbouring markers at rest, px."""
+    """Distance of neighbouring markers at rest, px; 0 without any."""
     rest = np.array(markers.rest_px, np.float32).reshape(markers.rows, markers.cols, 2)
-    return float(np.median(rest[:, 1:, 0] - rest[:, :-1, 0]))
+    apart = rest[:, 1:, 0] - rest[:, :-1, 0]
+    return float(np.median(apart)) if apart.size else 0.0
 
 
 @lru_cache(maxsize=4)

@@ -58,7 +58,7 @@ class Running:
             case wire.Episode():
                 self.object = message.object.replace("_", " ")
             case wire.Arm():
-                self.phase, self.attempt = "arming", self.earlier_n + message.attempt
+                self.phase, self.attempt, self.problem = "arming", self.earlier_n + message.attempt, ""
                 self.gap_width_mm, self.expected_depth_mm = message.gap_width_mm, message.expected_depth_mm
                 self.width_mm = message.gripper_width_mm or self.width_mm
                 self.depth_mm = 0.0

@@ -35,7 +35,7 @@ class Status:
         self._lock = threading.Lock()
         self._running: Running | None = None
         self._continues: str | None = None
-        self._last, self._put_back = newest(station.settings.recordings)  # the latter: on its way to a regrasp
+        self._last, self._put_back = newest(station.settings.recordings)  # the latter: another one may go on with it
         gone_s = time.time() - self._last.at_s if self._last and self._last.at_s else 0.0
         self._put_back_s = time.monotonic() - max(0.0, gone_s)  # the clock may have been set back since
         self._overdue = False
@@ -130,7 +130,7 @@ class Status:
         at_s, took_s = time.time(), time.monotonic() - running.began_s  # the wall clock may have been set meanwhile
         self._last = Last(message.insertion_id, message.outcome, cause, words, attempts_n, running.object, at_s, took_s)
         running.descended_n = running.earlier_n + descended_n(cause, message.attempts, message.doubts)
-        self._running, self._put_back = None, running if cause == "afresh" else None
+        self._running, self._put_back = None, running if message.outcome != "inserted" else None
         self._put_back_s, self._overdue = time.monotonic(), False
         if cause is not None and cause not in MEANT:
             detail = "; ".join(doubt.detail for doubt in message.doubts) or running.problem
@@ -211,10 +211,15 @@ class Status:
                 "health": health,
             }
 
+    @property
+    def _regrasps(self) -> bool:
+        """Whether the arm regrasps the object; after another end a person may put it back, at any time."""
+        return self._put_back is not None and self._last is not None and self._last.cause == "afresh"
+
     def _note_overdue(self) -> None:
         """Note an overdue regrasp: the arm may have stopped on its way, where the service hears nothing."""
         waiting, late_s = self._put_back, time.monotonic() - self._put_back_s - AFRESH_S
-        if waiting is None or self._overdue or late_s < 0.0:
+        if waiting is None or not self._regrasps or self._overdue or late_s < 0.0:
             return
         self._overdue, named = True, waiting.insertion_id
         title, detail = "Holding: the object was to be regrasped", f"Nothing went on within {AFRESH_S:g} s."
@@ -234,14 +239,15 @@ class Status:
                 counted = "Regrasped: "
             words = PHASES.get(running.phase, running.phase)
             text = words[:1].lower() + words[1:] if counted else words  # a client may name no phase
-            level = "warning" if running.phase in ANSWERED or bad else "busy"
-            detail = ". ".join(part for part in (unseen, running.problem) if part)
+            alone = "" if health["driver"] else "No connection to the robot client"
+            level = "warning" if running.phase in ANSWERED or bad or alone else "busy"
+            detail = ". ".join(part for part in (alone, unseen, running.problem) if part)
             return {"level": level, "words": counted + text, "detail": detail}
         if stop is not None:
             return {"level": "stop", "words": stop.title, "detail": f"{stop.remedy}\n{stop.detail}".strip()}
         if bad:
             return {"level": "warning", "words": unseen, "detail": CAMERA_REMEDY}
-        if self._put_back is not None and not self._overdue and self._last is not None:
+        if self._regrasps and not self._overdue and self._last is not None:
             return {"level": "busy", "words": self._last.words, "detail": CAUSES["afresh"].remedy}
         if self._last is not None and self._last.at_s is not None and self._last.cause is None:
             return {"level": "good", "words": self._last.words, "detail": "Ready for the next object."}
@@ -262,7 +268,7 @@ class Status:
         return {
             "ready": station.ready,
             "cameras": {f: station.cameras[f].entry.model_dump() for f in FINGERS},
-            "driver": active.session.insertion_id if active else None,
+            "driver": active.session.insertion_id if active and active.send else None,
             "recording": self._disk.problem(),
             "frames_dropped_n": station.counters.frames_dropped_n,
             "insertions_n": station.manager.opened_n,

@@ -90,13 +90,12 @@ def ending_of(message: ServiceMessage) -> Ending | None:
 
 
 def router(station: Station, access: Access) -> APIRouter:
-    """Route ``/v1/insertions/ws``, also as ``/v1/insertion`` and, for clients that name no path, ``/``."""
+    """Route ``/v1/insertion``, and for clients that name no path ``/``."""
     routes = APIRouter()
     watchers = Slots(MAX_WATCHERS)
 
     @routes.websocket("/")
     @routes.websocket("/v1/insertion")
-    @routes.websocket("/v1/insertions/ws")
     async def insertion(socket: WebSocket) -> None:
         if not await access.admit(socket, "watch"):
             station.hub.publish("turned_away", "forbidden")

@@ -6,9 +6,9 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, HTTPException
+from fastapi import APIRouter, HTTPException, Query
 
 from service.contract import Finger
 from service.recordings.need import needed
@@ -32,9 +32,12 @@ def router(station: Station, access: Access, reading: Reading) -> APIRouter:
         return recording_file(station.settings.recordings, name)
 
     @routes.get("/timeline")
-    async def curves(name: str) -> dict[str, Any]:
-        """Slip, push and depth over time, what happened, and the moments that can be looked at."""
-        return await reading(lambda: timeline(file_of(name)))
+    async def curves(name: str, earlier_n: Annotated[int, Query(ge=0)] = 0) -> dict[str, Any]:
+        """Slip, push and depth over time, what happened, and the moments that can be looked at.
+
+        Attempts are counted on from ``earlier_n``.
+        """
+        return await reading(lambda: timeline(file_of(name), earlier_n))
 
     @routes.get("/moments/{finger}/{at_ns}")
     async def felt(name: str, finger: Finger, at_ns: int) -> dict[str, Any]:

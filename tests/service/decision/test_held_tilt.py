@@ -252,4 +252,19 @@ def test_a_touch_is_where_the_object_began_to_move_and_needs_tops_that_are_known
     assert touch_of(replace(attempt, arm=level, onset_ns=None)) is None
     onset_ns = attempt.stopped_ns - (attempt.stopped_ns - (attempt.descending_ns or 0)) // 5
     touched = touch_of(replace(attempt, arm=level, onset_ns=onset_ns))
-    assert touched == pytest.approx((0.8 * attempt.depth_mm, 0.5 * level.gap_width_mm, 0.3), rel=1e-3)
+    above_mm = 0.8 * attempt.depth_mm - level.expected_depth_mm
+    assert touched == pytest.approx((above_mm, 0.5 * level.gap_width_mm, 0.3), rel=1e-3)
+
+
+@given(st.floats(-5.0, 5.0), SIDES)
+def test_an_attempt_armed_from_another_height_shows_no_tilt_by_that(higher_mm, side):
+    """It touches at the same height on either side, so the object hangs upright."""
+    grasp, attempt = GraspRecord(50.0), blocked(0.5, 2.0, 240.0)
+    for which, up_mm in ((side, 0.0), (-side, higher_mm)):
+        stated = {"expected_depth_mm": 25.0 + up_mm, "tops_level_mm": LEVEL_MM}
+        arm = attempt.arm.model_copy(update=stated)
+        again = replace(attempt, arm=arm, depth_mm=5.0 + up_mm, start_mm=up_mm, onset_ns=int(0.5e9))
+        again.ring.append(last(math.radians(which)))
+        grasp.blocked(again)
+    assert grasp.tilt.deg == pytest.approx(0.0, abs=0.02)
+    assert grasp.tilt.sd_deg < PICKED_DEG

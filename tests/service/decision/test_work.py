@@ -25,6 +25,8 @@ from service.settings import Deadlines
 from tests.service import tiny_models
 from tests.service.decision.test_claim import descent, pair
 
+EIGHT_FRAMES: Any = SimpleNamespace(frames_per_decision=8, pressing=None)
+
 
 @pytest.mark.parametrize("referenced", [False, True])
 def test_a_grid_that_is_not_the_networks_is_refused_as_any_other_stranger(*, referenced: bool) -> None:
@@ -130,8 +132,26 @@ def test_evidence_of_half_a_picture_or_of_no_class_moves_nothing(
 )
 def test_a_decision_is_overdue_by_what_it_waits_for(pairs_n: int, fed: bool, waited_s: float, reason: str) -> None:
     attempt = descent(decision_pairs=[pair()] * pairs_n, fed=fed)
-    refusal = overdue(attempt, waited_s, 8, Deadlines())
+    refusal = overdue(attempt, waited_s, EIGHT_FRAMES, Deadlines())
     assert (refusal.reason if refusal else "") == reason
+
+
+@pytest.mark.parametrize(
+    ("pairs_n", "fed", "waited_s", "why"),
+    [
+        (9, False, 1.9, ""),
+        (9, False, 2.1, "no pair came after the stop"),
+        (9, True, 9.9, ""),
+        (9, True, 10.1, "the networks took longer than 10 s"),
+        (0, False, 2.1, "nothing touches the gels"),
+    ],
+)
+def test_networks_that_read_depth_wait_for_a_pair_of_the_standstill_however_many_came_before(
+    pairs_n: int, fed: bool, waited_s: float, why: str
+) -> None:
+    card: Any = SimpleNamespace(frames_per_decision=8, pressing=object())
+    attempt = descent(decision_pairs=[pair()] * pairs_n, fed=fed)
+    assert str(overdue(attempt, waited_s, card, Deadlines()) or "") == why
 
 
 @pytest.mark.parametrize(
@@ -144,7 +164,7 @@ def test_why_nothing_moved_is_told_from_why_nothing_is_touched(left: Any, right:
         for one, state in zip(pair().fingers, (left, right), strict=True)
     ]
     attempt.ring.append(PairObservation(*fingers))
-    why = str(overdue(attempt, 3.0, 8, Deadlines()))
+    why = str(overdue(attempt, 3.0, EIGHT_FRAMES, Deadlines()))
     assert why == ["neither finger saw the object move", "nothing touches the gels"][empty]
 
 

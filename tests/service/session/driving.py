@@ -24,7 +24,7 @@ def camera(finger: Finger, size: tuple[int, int]) -> SimpleNamespace:
     """A camera that has delivered one frame of ``size`` (width, height)."""
     pixels = np.zeros((size[1], size[0], 3), np.uint8)
     entry = wire.CameraEntry(finger=finger, source="x", state="live", frame_rate_hz=30.0)
-    return SimpleNamespace(latest=CameraFrame(TactileFrame(finger, 0, 1, pixels), None), entry=entry)
+    return SimpleNamespace(latest=CameraFrame(TactileFrame(finger, 0, 1, pixels), None), newest_ns=1, entry=entry)
 
 
 def manager(models: ModelSet, folder: Path, size: tuple[int, int] = (427, 320)) -> InsertionManager:

@@ -130,11 +130,11 @@ def test_a_pair_is_of_its_own_frames_though_newer_ones_of_a_finger_were_perceive
 
 
 def test_frames_are_stale_by_the_finger_that_is_further_behind_and_not_before_both_have_one() -> None:
-    one = hand()
-    one.note(frame("left", 0, 10_000_000))
-    assert (one.age_ms(10**9), one.stale(10**12, 500.0)) == (None, "")
-    one.note(frame("right", 0, 40_000_000))
-    assert one.age_ms(510_000_000) == 500.0
+    watch: Any = SimpleNamespace(observe=lambda one: replace(observation(one.finger), captured_ns=one.captured_ns))
+    one = Fingers(watch, watch)
+    one.observe(frame("left", 0, 10_000_000))
+    assert one.stale(10**12, 500.0) == ""
+    one.observe(frame("right", 0, 40_000_000))
     assert one.stale(510_000_000, 500.0) == ""
     assert "is 501 ms old" in one.stale(511_000_000, 500.0)
 

@@ -10,6 +10,7 @@ import pytest
 from pydantic import SecretStr
 
 from service.contract import FINGERS, wire
+from service.decision.attempt import Stage
 from service.decision.models import ModelSet
 from service.recordings.reader import Recording
 from service.session.learn_open import STARTED
@@ -165,6 +166,24 @@ def test_only_an_insertion_that_goes_on_keeps_the_version_before_a_change(
     shared.connect(wire.ClientHello(insertion_id="two", client="test", continues=continues), client.send)
     assert (shared.active.session.models is models) == keeps
     assert (shared.active.session.models is shared.versions.active) != keeps
+
+
+def test_a_heartbeat_tells_the_age_of_the_cameras_frames_whether_or_not_an_attempt_needs_them(
+    shared: InsertionManager, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The camera that is further behind, before the first `arm` and after an attempt that frames were judged in."""
+    driver = Client(shared)
+    driver.connect("one")
+    for attempt, newest_s, age_ms in ((None, 5, 500.0), (1, 8, 2000.0)):
+        if attempt:
+            shared.receive(arm(), driver.send)
+            shared.active.session.attempt.stage = Stage.DECIDED
+        for finger, behind_s in (("left", 0), ("right", 1)):
+            shared.cameras[finger].newest_ns = (newest_s - behind_s) * 10**9
+        at_ns = (newest_s - 1) * 10**9 + round(age_ms * 1e6)
+        monkeypatch.setattr("service.session.insertion.now_ns", lambda at_ns=at_ns: at_ns)
+        shared.receive(wire.ClientHeartbeat(insertion_id="one", count=7), driver.send)
+        assert driver.heard[-1].frame_age_ms == age_ms
 
 
 def test_only_the_connection_that_drives_is_listened_to(shared: InsertionManager) -> None:

@@ -201,7 +201,7 @@ def test_of_two_results_the_first_one_is_kept(session: InsertionSession) -> None
     assert (refused.reason, refused.detail) == ("low_confidence", "0")
 
 
-def test_frames_between_attempts_are_not_judged_but_are_as_new_as_any(session: InsertionSession) -> None:
+def test_frames_between_attempts_are_not_judged(session: InsertionSession) -> None:
     observed = list[int]()
     session.on_observation = lambda observation: observed.append(observation.seq)
     arm(session)
@@ -211,8 +211,6 @@ def test_frames_between_attempts_are_not_judged_but_are_as_new_as_any(session: I
     session.on_frame(TactileFrame("left", 1, 4 * S, PIXELS), 4 * S)
     session.on_frame(TactileFrame("right", 1, 4 * S, PIXELS), 4 * S)
     assert observed == []
-    (beat,) = session.handle(wire.ClientHeartbeat(insertion_id=ID, count=1), 4 * S + 2_000_000)
-    assert beat.frame_age_ms == 2.0
 
 
 def test_why_a_reference_cannot_be_taken_is_told(session: InsertionSession) -> None:

@@ -43,7 +43,7 @@ class Story:
     links: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
     def connect(self) -> None:
-        url = self.service.url("/v1/insertions/ws", "ws")
+        url = self.service.url("/v1/insertion", "ws")
         self.link = self.links.enter_context(connect(url, additional_headers=self.service.bearer, **LINK))
         self.send(wire.ClientHello(insertion_id=self.id, client="soak", purpose="probe"))
         self.until({"hello"})

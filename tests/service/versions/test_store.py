@@ -165,6 +165,51 @@ def test_a_shadow_of_the_settings_that_cannot_run_is_a_problem_and_stops_no_cell
         assert opened.state().problem == "", "its copy does"
 
 
+def restarted(home: Path, three: list[Path], shadow: Path) -> tuple[str | None, str | None]:
+    """Who runs in shadow after a start whose settings name one, and who decided before."""
+    with contextlib.closing(Versions(home, load_models(three[0]), quiet)) as opened:
+        opened.give(shadow, at_start=True)
+        state = opened.state()
+        assert state.problem == ""
+        return state.shadow and state.shadow.version, state.previous and state.previous.version
+
+
+@pytest.mark.parametrize("already", [False, True])
+def test_what_is_changed_by_hand_outlives_every_start_with_the_same_setting(
+    tmp_path: Path, three: list[Path], already: bool
+) -> None:
+    """``already``: the version ran in shadow already when the settings first named it."""
+    home, (_, first, second) = tmp_path / "versions", (version_of(load_models(folder)) for folder in three)
+    if already:
+        with contextlib.closing(Versions(home, load_models(three[0]), quiet)) as opened:
+            opened.give(three[1])
+    assert restarted(home, three, three[1]) == (first, None)
+    with contextlib.closing(Versions(home, load_models(three[0]), quiet)) as opened:
+        opened.drop()
+    assert restarted(home, three, three[1]) == (None, None)
+    with contextlib.closing(Versions(home, load_models(three[0]), quiet)) as opened:
+        opened.give(three[2])
+        wiring = opened._now.wiring
+        opened._wire(wiring.with_one("shadow", second, wiring.contest("shadow").ended(2, "box")))
+    assert restarted(home, three, three[1]) == (second, None)
+    with contextlib.closing(Versions(home, load_models(three[0]), quiet)) as opened:
+        assert opened.state().shadow.ended_n == 1, "its evidence counts on"
+        opened.promote()
+    assert restarted(home, three, three[1]) == (None, version_of(load_models(three[0])))
+    with contextlib.closing(Versions(home, load_models(three[0]), quiet)) as opened:
+        opened.give(three[1])
+        opened.drop()
+    changed = tiny_models.write_models(tmp_path / "changed", git_commit="d" * 40)
+    assert restarted(home, three, changed)[0] == version_of(load_models(changed)), "another setting is another request"
+
+
+def test_a_shadow_of_the_settings_that_was_lost_is_given_again(tmp_path: Path, three: list[Path]) -> None:
+    home = tmp_path / "versions"
+    shadow, _ = restarted(home, three, three[1])
+    shutil.rmtree(home / shadow)
+    assert restarted(home, three, three[1])[0] == shadow
+
+
 def test_a_release_that_has_no_part_any_more_answers_nothing(tmp_path: Path, three: list[Path]) -> None:
     with contextlib.closing(promoted(tmp_path / "versions", three)) as opened:
         opened.give(three[2])

@@ -141,7 +141,7 @@ def test_a_foreign_page_gets_no_websocket_and_an_allowed_one_does(tmp_path: Path
 def test_a_watching_token_cannot_drive_or_push(tmp_path: Path, models_folder: Path) -> None:
     tokens = {"token_watch": WATCH, "token_drive": DRIVE}
     with live_service(tmp_path, models_folder, **tokens) as guarded:
-        path = guarded.url("/v1/insertions/ws", "ws")
+        path = guarded.url("/v1/insertion", "ws")
         hello = wire.ClientHello(insertion_id="role", client="test").model_dump_json()
         with connect(path, additional_headers={"Authorization": f"Bearer {WATCH}"}) as link:
             link.send(hello)
@@ -183,7 +183,7 @@ def test_tls_carries_requests_and_an_insertion_and_nothing_goes_in_the_clear(
             httpx.get(url, headers=bearer)
         with pytest.raises(httpx.HTTPError):
             httpx.get(guarded.url("/v1/models"), headers=bearer)
-        path = guarded.url("/v1/insertions/ws", "wss")
+        path = guarded.url("/v1/insertion", "wss")
         with connect(path, ssl=trusting, additional_headers=bearer, compression=None) as link:
             link.send(wire.ClientHello(insertion_id="tls", client="test").model_dump_json())
             assert wire.parse_service(link.recv(20)).type == "hello"
@@ -202,7 +202,7 @@ def test_a_service_stops_in_order_while_a_client_over_tls_is_leaving(
         plain.connect(("127.0.0.1", guarded.port))
         plain.settimeout(20.0)
         leaving = trusting.wrap_socket(plain, server_hostname="127.0.0.1")
-        asked = f"GET /v1/insertions/ws HTTP/1.1\r\nHost: 127.0.0.1:{guarded.port}\r\nAuthorization: Bearer {DRIVE}\r\n"
+        asked = f"GET /v1/insertion HTTP/1.1\r\nHost: 127.0.0.1:{guarded.port}\r\nAuthorization: Bearer {DRIVE}\r\n"
         upgrade = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
         leaving.sendall(f"{asked}{upgrade}Sec-WebSocket-Key: {'A' * 22}==\r\n\r\n".encode())
         assert leaving.recv(4096).startswith(b"HTTP/1.1 101")
@@ -250,7 +250,7 @@ def test_every_public_address_needs_a_token(host: str) -> None:
 def test_a_client_that_does_not_read_is_cut_off_and_the_service_goes_on(live: LiveService) -> None:
     """It asks until its answers fill every buffer on their way and the service's queue of 256."""
     listeners_n = len(live.station.hub._listeners)
-    head = "GET /v1/insertions/ws HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    head = "GET /v1/insertion HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     name = {"insertion_id": "deaf"}
     beat = Frame(Opcode.TEXT, wire.ClientHeartbeat(count=0, **name).model_dump_json().encode())
     greeting = wire.ClientHello(client="test", role="watch", **name).model_dump_json().encode()
@@ -266,7 +266,7 @@ def test_a_client_that_does_not_read_is_cut_off_and_the_service_goes_on(live: Li
             while True:
                 deaf.sendall(beat.serialize(mask=True) * 200)
         wait_for(lambda: len(live.station.hub._listeners) == listeners_n, 10.0)  # a ping unanswered cuts off after 20 s
-        with connect(live.url("/v1/insertions/ws", "ws"), additional_headers=live.bearer, compression=None) as link:
+        with connect(live.url("/v1/insertion", "ws"), additional_headers=live.bearer, compression=None) as link:
             link.send(wire.ClientHello(insertion_id="beside-deaf", client="test").model_dump_json())
             assert wire.parse_service(link.recv(20)).type == "hello"
             link.send(wire.Abort(insertion_id="beside-deaf", cause="operator", reason="done").model_dump_json())
@@ -275,7 +275,7 @@ def test_a_client_that_does_not_read_is_cut_off_and_the_service_goes_on(live: Li
 
 def test_no_hello_in_time_is_a_fault(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("service.web.routes.insertion.HELLO_TIMEOUT_S", 0.1)
-    with connect(live.url("/v1/insertions/ws", "ws"), additional_headers=live.bearer, compression=None) as link:
+    with connect(live.url("/v1/insertion", "ws"), additional_headers=live.bearer, compression=None) as link:
         fault = wire.parse_service(link.recv(20))
         assert "no hello within 0.1 s" in fault.detail
         with pytest.raises(ConnectionClosed):

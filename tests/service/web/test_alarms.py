@@ -10,7 +10,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service.contract import FINGERS
+from service.contract import FINGERS, wire
 from service.observability.charts import Charts
 from service.session.station import open_station
 from service.settings import Settings
@@ -41,6 +41,23 @@ def test_more_failures_than_the_page_lists_are_all_acknowledged_one_after_the_ot
         shown = status(live)
     assert shown["open_alarms_n"] == 0
     assert len(shown["alarms"]) == SHOWN_ALARMS_N
+
+
+def test_a_client_whose_link_is_lost_in_mid_attempt_drives_no_more_and_the_page_says_so(live: LiveService) -> None:
+    lost = greeted(live, "cut")
+    lost.arms(1)
+    lost.send(wire.Descending(insertion_id="cut", attempt=1))
+    shown = until(live, lambda shown: "lowering" in shown["headline"]["words"])
+    assert (shown["headline"]["level"], shown["health"]["driver"]) == ("busy", "cut")
+    lost.close()
+    shown = until(live, lambda shown: shown["health"]["driver"] is None)
+    assert shown["headline"]["words"] == "Attempt 1 of 15: lowering the object into the gap"
+    assert shown["headline"]["level"] == "warning"
+    assert shown["headline"]["detail"] == "No connection to the robot client"
+    again = greeted(live, "cut")
+    shown = until(live, lambda shown: shown["health"]["driver"] == "cut")
+    assert (shown["headline"]["level"], shown["headline"]["detail"]) == ("busy", "")
+    again.gives_up()
 
 
 def test_the_oldest_of_too_many_unacknowledged_alarms_become_one_that_counts_them(tmp_path: Path) -> None:

@@ -84,8 +84,8 @@ def says(page: Any, words: str) -> None:
     wait_until(page, f"document.getElementById('words').textContent.includes({json.dumps(words)})")
 
 
-def insertion(live: LiveService, name: str) -> Driver:
-    driver = greeted(live, name)
+def insertion(live: LiveService, name: str, **hello: Any) -> Driver:
+    driver = greeted(live, name, **hello)
     here = wire.ToolPose(x_mm=0.0, y_mm=0.0, z_mm=60.0, yaw_deg=0.0)
     driver.send(wire.Episode(insertion_id=name, object="rectangle", start=here, approach=here))
     return driver

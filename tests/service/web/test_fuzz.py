@@ -32,7 +32,7 @@ CHECKS = [
     response_headers_conformance,
     response_schema_conformance,
 ]
-SOCKETS = ["/v1/insertions/ws", "/", "/v1/cameras/left/push", "/v1/cameras/left/frames", "/v1/live"]
+SOCKETS = ["/v1/insertion", "/", "/v1/cameras/left/push", "/v1/cameras/left/frames", "/v1/live"]
 numbers = itertools.count()
 
 
@@ -134,7 +134,7 @@ def test_a_thousand_conversations_do_not_kill_a_session(live: LiveService) -> No
 def test_an_oversized_message_closes_the_connection_and_nothing_else(live: LiveService) -> None:
     driver = greeted(live, f"beside-{next(numbers)}")
     for size in (wire.MAX_TEXT_BYTES + 1, 5 << 20):
-        with connect(live.url("/v1/insertions/ws", "ws"), additional_headers=live.bearer, compression=None) as link:
+        with connect(live.url("/v1/insertion", "ws"), additional_headers=live.bearer, compression=None) as link:
             with contextlib.suppress(ConnectionClosed):
                 link.send("x" * size)
             heard = []

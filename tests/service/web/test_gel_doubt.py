@@ -59,7 +59,7 @@ def test_a_watcher_is_doubted_and_a_driver_is_not(live: LiveService, monkeypatch
     monkeypatch.setattr("service.web.routes.cameras.doubt", lambda *_: "another gel")
     doubted = {}
     for role in ("watch", "drive"):
-        with connect(live.url("/v1/insertions/ws", "ws"), additional_headers=live.bearer, compression=None) as link:
+        with connect(live.url("/v1/insertion", "ws"), additional_headers=live.bearer, compression=None) as link:
             link.send(wire.ClientHello(insertion_id=f"gel-{role}", client="test", role=role).model_dump_json())
             hello = wire.parse_service(link.recv(20))
             assert isinstance(hello, wire.ServiceHello)

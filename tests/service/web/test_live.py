@@ -107,7 +107,7 @@ def test_a_client_that_is_turned_away_is_counted_by_why(live: LiveService) -> No
         other = Driver(live, "other", **hello)
         assert other.receive().code == code
         other.close()
-    with connect(live.url("/v1/insertions/ws", "ws")) as nobody:
+    with connect(live.url("/v1/insertion", "ws")) as nobody:
         nobody.send(wire.ClientHello(insertion_id="other", client="test").model_dump_json())
         assert wire.parse_service(nobody.recv(20)).code == "forbidden"
     driver.gives_up()

@@ -1,5 +1,6 @@
 """The playback in a real Chromium: what belongs to one recording never shows up in another."""
 
+import json
 from typing import Any
 
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from tests.service.conftest import LiveService
 from tests.service.web import test_dashboard
 from tests.service.web.test_dashboard import colours, insertion, wait_until
+from tests.service.web.test_regrasps import put_back
 
 browser, page, pytestmark = test_dashboard.browser, test_dashboard.page, test_dashboard.pytestmark
 PLAYED = "document.querySelectorAll('#curves canvas').length === 3"
@@ -26,7 +28,7 @@ def test_an_answer_that_comes_late_is_not_shown_in_the_recording_opened_since(
     for name in ("late", "prompt"):
         insertion(live, name).after(1).gives_up()
     held: list[Any] = []
-    page.route("**/*_late/timeline", lambda route: held.append(route))  # noqa: PLW0108 - a method of a list takes no mark
+    page.route("**/*_late/timeline?*", lambda route: held.append(route))  # noqa: PLW0108 - a method of a list takes no mark
     page.goto(live.url("/#history"))
     page.get_by_label("play back late", exact=True).click()
     while not held:
@@ -75,6 +77,50 @@ def test_a_recording_without_frames_shows_none_of_the_one_before(live: LiveServi
     for finger in ("left", "right"):
         assert page.locator(f"#{finger}-then-state").text_content() == ""
         assert colours(page, f"{finger}-then") == 1, "an empty drawing"
+
+
+@pytest.mark.parametrize("gone", ["left", "right"])
+def test_a_finger_without_a_picture_at_a_moment_is_grey_and_named(live: LiveService, page: Any, gone: str) -> None:
+    insertion(live, f"no-{gone}").after(1).gives_up()
+
+    def answer(route: Any) -> None:
+        curves = route.fetch().json()
+        curves["moments"][-1][gone] = None
+        route.fulfill(json=curves)
+
+    page.route("**/timeline?*", answer)
+    page.goto(live.url("/#history"))
+    page.get_by_label(f"play back no-{gone}", exact=True).click()
+    state = f"document.getElementById('{gone}-then-state').textContent"
+    grey = f"document.getElementById('{gone}-then').classList.contains('stale')"
+    for key, lost in (("Home", False), ("End", True), ("Home", False)):
+        page.locator("#scrub").focus()
+        page.keyboard.press(key)
+        wait_until(page, f"{state} !== '' && ({state} === 'no picture') === {json.dumps(lost)}")
+        assert page.evaluate(grey) is lost
+        assert page.locator("canvas.stale:visible").count() == lost, "the other one is of that moment"
+    page.keyboard.press("End")
+    wait_until(page, grey)
+    page.locator("#close").click()
+    page.unroute("**/timeline?*")
+    page.get_by_label(f"play back no-{gone}", exact=True).click()
+    wait_until(page, f"{state} !== '' && !{grey}")
+    assert page.problems == []
+
+
+def test_the_playback_of_an_object_that_was_put_back_counts_as_its_title_does(live: LiveService, page: Any) -> None:
+    put_back(live, "before", "refused")
+    again = insertion(live, "after", continues="before")
+    again.insert(1)
+    again.close()
+    page.goto(live.url("/#history"))
+    page.get_by_label("play back after", exact=True).click()
+    wait_until(page, PLAYED)
+    assert page.locator("#player-title").text_content().endswith("inserted, after 2 attempts")
+    page.locator("#scrub").focus()
+    page.keyboard.press("End")
+    wait_until(page, "document.getElementById('then').textContent.endsWith('object inserted after 2 attempts')")
+    assert page.problems == []
 
 
 @pytest.mark.parametrize("attempts_n", [0, 1])

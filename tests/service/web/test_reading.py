@@ -41,7 +41,7 @@ def test_recordings_are_listed_after_the_one_that_is_being_read(
 ) -> None:
     asked, answers = threading.Event(), threading.Event()
 
-    def curves(_: object) -> dict[str, Any]:
+    def curves(*_: object) -> dict[str, Any]:
         asked.set()
         answers.wait(60)
         return {}

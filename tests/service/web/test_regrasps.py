@@ -22,12 +22,12 @@ HOLDING = {"level": "stop", "words": "Holding: the object was to be regrasped"}
 REGRASPED = {"level": "busy", "words": "It had turned in the hand and is regrasped"}
 
 
-def put_back(live: LiveService, name: str, **hello: Any) -> None:
+def put_back(live: LiveService, name: str, cause: wire.Cause = "afresh", **hello: Any) -> None:
     """An insertion of two attempts, the second one refused before the descent."""
     driver = greeted(live, name, **hello)
     driver.attempt(1)
     driver.arms(2)
-    driver.gives_up("afresh", "service: refused: turned_in_hand: by about 1.4 deg")
+    driver.gives_up(cause, "service: refused: turned_in_hand: by about 1.4 deg")
 
 
 def headline(status: Status) -> dict[str, str]:
@@ -46,6 +46,35 @@ def test_a_restart_while_the_object_is_on_its_way_is_told_as_what_it_is(live: Li
     third.gives_up()
     wait_for(lambda: headline(restarted) == {"level": "good", "words": "Ready for the next object"})
     assert restarted.snapshot()["last"]["attempts"] == 3
+
+
+def test_an_object_that_a_person_puts_back_is_counted_on_as_one_that_the_arm_regrasps(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before and after a restart, in the history and in the playback; a person may take any time for it."""
+    page = Status(live.station)
+    put_back(live, "by-hand", "refused")
+    wait_for(lambda: headline(page)["level"] == "stop")
+    monkeypatch.setattr("service.web.page.status.AFRESH_S", 0.0)
+    pages = page, Status(live.station)
+    for one in (*pages, live):
+        shown = one.snapshot() if isinstance(one, Status) else httpx.get(live.url("/v1/status")).json()
+        (alarm,) = [alarm for alarm in shown["alarms"] if alarm["insertion_id"] == "by-hand"]
+        assert alarm["title"] != HOLDING["words"], "nothing is overdue"
+    for one in pages:
+        assert one.acknowledge(alarm["number"])
+    httpx.post(live.url(f"/v1/alarms/{alarm['number']}/acknowledge")).raise_for_status()
+    again = greeted(live, "by-hand-again", continues="by-hand")
+    again.insert(1)
+    again.close()
+    words = "Object inserted after 2 attempts, regrasped once"
+    wait_for(lambda: [one.snapshot()["last"]["words"] for one in pages] == [words, words])
+    wait_for(lambda: httpx.get(live.url("/v1/status")).json()["recorded"] == "by-hand-again")
+    assert Status(live.station).snapshot()["last"]["words"] == words
+    listed = list_recordings(live.recordings, 1)[0][0]
+    address = live.url(f"/v1/recordings/{listed['name']}/timeline")
+    texts = [event["text"] for event in httpx.get(address, params={"earlier_n": 1}).json()["events"]]
+    assert texts[-2:] == ["attempt 2 begins", "object inserted after 2 attempts"]
 
 
 @pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
