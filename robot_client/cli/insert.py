@@ -122,7 +122,8 @@ async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | Non
             state = await runner.run()
         finally:
             _show_log(runner.recorder)
-        ran.append((runner, partial(report.final, farewell=runner.farewell, link=runner.link(), rest=runner.rest())))
+            final = partial(report.final, farewell=runner.farewell, link=runner.link(), rest=runner.rest())
+            ran.append((runner, final))
         if plan.fixture and state.afresh(plan.insertion_id):  # the arm goes to the fixture, and the fingers open
             runner.check_stopped()
         return state
@@ -135,7 +136,7 @@ async def _insert(settings: Settings, plan: Plan, *, live: bool, log: Path | Non
     try:
         state = await upright(plan, run, regrasp_of(settings) if live else None, show)
     except BaseException:
-        if ran:  # between two grasps: how the last one ended
+        if ran:  # in a grasp, or on the way to the next one
             show_end(ran[-1][0].state)
         raise
     show_end(state)  # with the attempts of all grasps

@@ -67,8 +67,9 @@ class Errands:
         except Exception as error:
             failed = error
         await to_the_end(_leave(arm, show, failed), interrupted=failed is not None)
-        if here is None:
-            raise failed or DriverError("robot: the arm does not say where it is")
+        if failed:
+            raise failed
+        assert here is not None
         return here
 
     async def _follow(self, arm: Arm, way: Way, show: Callable[[str], None]) -> WorkPose:

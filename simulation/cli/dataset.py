@@ -171,4 +171,6 @@ def export_dataset(arguments: list[str]) -> int:
     with progress("trials", len(numbers)) as show:
         lerobot.export(dataset, numbers, options.out, show)
     print(f"{len(numbers)} trials under {options.out}")
+    if any(dataset.trial(number).drawn for number in numbers):
+        print("frames of drawn cells are equal steps of depth (in observation.state); their timestamps are nominal")
     return 0

@@ -108,7 +108,7 @@ def draw_fixture(base: Scene, plan: Plan, number: int) -> tuple[Fixture, np.rand
 def pokes(plan: Plan, base: Scene) -> Iterator[tuple[Fixture, int, int, Probe | None]]:
     """All pokes of a shard in order, without end: (fixture, poke in group, seed, probe or None without equilibrium).
 
-    A group ends early when the object has left the hand or entered the gap: both need a new fixture.
+    A group ends early when the object has left the hand or entered the gap, or no equilibrium is found as it is lifted.
     """
     for number in range(_GROUPS_PER_SHARD):
         fixture, rng = draw_fixture(base, plan, number)

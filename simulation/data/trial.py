@@ -76,12 +76,6 @@ class Trial:
         if not 0 <= self.onset_frame <= FRAMES - 8:
             raise DatasetError(f"trial onset_frame {self.onset_frame}, expected 0..{FRAMES - 8} (8 frames follow it)")
 
-    def check_timed(self, number: int) -> None:
-        """Raise DatasetError for a drawn cell, of which no player of frames could tell when they were taken."""
-        if self.drawn:
-            what = "the frames of a drawn cell are equal steps of depth, not of time"
-            raise DatasetError(f"trial {number}: {what}; expected a collection of named objects")
-
 
 def split_of(group: int, *, held_out: bool) -> Split:
     """Whole re-fixture groups go to one side; groups from held-out ranges are the test set."""

@@ -204,7 +204,7 @@ class EgmArm:
     def _begin(self, state: codec.RobotState, measured: WorkPose, tilt_deg: float) -> bool:
         """Begin guidance at the arm's present pose. Targets are upright: a tool that leans too far is not for them."""
         if not self._watch.ready(state):
-            self._answer(state.feedback if state.waits else None)
+            self._answer(state.feedback if state.waits and not self._watch.leans else None)
             return False
         if not self._watch.upright(tilt_deg, self.limits.max_tilt_deg):
             self._ready.set()

@@ -14,6 +14,7 @@ from robot_client.session.service_link import ServiceSettings
 from service.contract.frames import FINGERS
 
 WAIT_S, LOOK_S = 15.0, 0.2  # until the service has closed a recording
+LATE_S = 0.2  # the last pictures of both fingers are of one standstill
 GAIN = 4.0  # arrows are longer than the motion, as on the service's page
 OUTSIDE, STICKS, SLIPS = range(3)
 HEAD = '<marker id="head" refX="4" refY="2" markerHeight="4" orient="auto"><polygon points="0 0 4 2 0 4"/></marker>'
@@ -49,6 +50,8 @@ async def _panels(http: httpx.AsyncClient, insertion_id: str) -> AsyncIterator[P
     if not shown:
         raise DriverError(f"service: no picture of {insertion_id}: at no moment had both fingers one")
     pressed = shown[-1]  # of the standstill: nothing is judged after it
+    if curves["moments"][-1]["t"] - pressed["t"] > LATE_S:
+        raise DriverError(f"service: no picture of {insertion_id}: one finger had none at its end")
     for finger in FINGERS:
         for state, at_ns in (("open", curves["open"][finger]), ("pressed", pressed[finger])):
             yield f"{finger}, {state}", await _got(http, f"recordings/{name}/moments/{finger}/{at_ns}")

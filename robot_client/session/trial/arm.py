@@ -113,20 +113,22 @@ class ArmTrial:
         except (TypeError, LimitError) as error:
             return Finding(False, f"legs: {type(error).__name__}: {error}, expected a descent with two speeds")
         arriving = asyncio.ensure_future(self._next("legs", wait_s))
-        renewed, off_mm = False, 0.0
+        renewed, ahead_mm, behind_mm = False, 0.0, 0.0
         while not arriving.done():
             passed_s = time.monotonic() - begun_s
             if passed_s > 0.5 * _DESCENT_S and not renewed:
                 self.arm.renew(begun_s + wait_s)
                 renewed = True
-            ahead_mm = start.z_mm - self._here().z_mm - profile.position(passed_s)
-            off_mm = max(off_mm, ahead_mm, key=abs)
+            off_mm = start.z_mm - self._here().z_mm - profile.position(passed_s)
+            ahead_mm, behind_mm = max(ahead_mm, off_mm), max(behind_mm, -off_mm)
             await asyncio.sleep(_SAMPLE_S)
         if not isinstance(event := await arriving, Arrived):
             raise DriverError(f"legs: {_text(event)}, expected arrived, as its lease was renewed")
-        allowed_mm = speed_mm_s * (self.lease.stop_lag_s + _REPORT_S) + REST_MM
-        text = f"legs: {abs(off_mm):.2f} mm {'ahead' if off_mm > 0.0 else 'behind'} of its time at most"
-        return Finding(abs(off_mm) <= allowed_mm, f"{text} (allowed {allowed_mm:.2f})")
+        early_mm = speed_mm_s * _REPORT_S + REST_MM  # one that lags is behind; ahead is one that leaves a leg out
+        late_mm = early_mm + speed_mm_s * self.lease.stop_lag_s
+        text = f"legs: at most {ahead_mm:.2f} mm ahead of its time (allowed {early_mm:.2f})"
+        text = f"{text}, {behind_mm:.2f} mm behind (allowed {late_mm:.2f})"
+        return Finding(ahead_mm <= early_mm and behind_mm <= late_mm, text)
 
     async def _stands_without_a_lease(self, bottom: WorkPose) -> Finding:
         """It stands by itself where its lease ends, and fails if that is not renewed."""

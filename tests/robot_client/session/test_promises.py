@@ -173,7 +173,7 @@ def test_the_shipped_gripper_keeps_every_promise(story):
         (StopsNot, "hold: went on by "),
         (ForgetsItsLease, "lease: no event followed within 0.5 s"),
         (TakesNoLegs, "legs: TypeError: "),
-        (IgnoresItsLegs, "legs: 1."),
+        (IgnoresItsLegs, "legs: at most 1."),
         (IgnoresRenewals, "legs: failure unwatched: "),
         (RepeatsItsPosition, "move: arrived; 1 positions on the way"),
         (ArrivesEarly, "the arm ended its move 2.0"),
@@ -182,6 +182,11 @@ def test_the_shipped_gripper_keeps_every_promise(story):
 )
 def test_an_arm_that_breaks_a_promise_is_named(wrong, named):
     assert bad(asyncio.run(arm_findings(wrong=wrong)))[0].startswith(named)
+
+
+def test_an_arm_that_may_be_late_may_not_be_early():
+    late = {"lease": {"stop_lag_s": 0.25}}
+    assert bad(asyncio.run(arm_findings(wrong=IgnoresItsLegs, **late)))[0].startswith("legs: at most 1.")
 
 
 @pytest.mark.parametrize(

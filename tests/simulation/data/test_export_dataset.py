@@ -179,11 +179,11 @@ def test_an_export_that_lacks_part_of_a_trial_is_refused_by_its_number(lerobot: 
         Exported(mine)
 
 
-def test_steps_of_depth_are_not_exported_as_frames_of_time(tmp_path: Path) -> None:
-    drawn = made_up_dataset(tmp_path / "drawn", [made_up_trial(k, drawn="{}") for k in range(2)], 2)
-    with pytest.raises(DatasetError, match=r"trial 0: .*steps of depth, not of time"):
-        export_dataset([str(drawn), "--out", str(tmp_path / "out")])
-    assert not list((tmp_path / "out").iterdir()), "nothing is half written"
+@pytest.mark.parametrize("drawn", ["", "{}"])
+def test_an_export_of_steps_of_depth_says_that_its_timestamps_are_nominal(tmp_path: Path, capsys, drawn: str) -> None:
+    folder = made_up_dataset(tmp_path / "cells", [made_up_trial(0, drawn=drawn)], 1)
+    assert export_dataset([str(folder), "--out", str(tmp_path / "out")]) == 0
+    assert ("steps of depth" in capsys.readouterr().out) == bool(drawn)
 
 
 def test_nothing_is_overwritten_and_nothing_is_made_up(source: Path, tmp_path: Path) -> None:

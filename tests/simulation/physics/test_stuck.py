@@ -5,6 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from simulation.physics.kernels import load_step
+from simulation.physics.kernels.bristles import settle
 from simulation.physics.layer_pads import LayerPads
 from simulation.physics.quasistatic import QuasiStaticCell
 from simulation.scene.worlds import load_scene
@@ -96,3 +97,17 @@ def test_an_object_has_left_the_hand_only_where_the_shortest_step_says_so(
     if not lost:
         assert whole.state["wrench"][2] > 10.0, "it rests on a block"
         np.testing.assert_allclose(cell.state["wrench"], whole.state["wrench"], rtol=0.02, atol=0.2)
+
+
+def test_forces_that_were_balanced_beyond_the_cone_are_reported_before_they_are_cut() -> None:
+    """The return map leaves every stretch inside the cone, so what it cuts off is the evidence."""
+    cell = QuasiStaticCell(load_scene("rectangle"))
+    cell.regrasp(8.0, 5.0)
+    x, y, z, yaw = cell.pose
+    cell.move_to(x, y, z - 6.0, np.degrees(yaw))
+    nodes = cell.nodes.copy()
+    nodes["limit"] *= 2.0  # as if friction had been granted that the pressure does not bear
+    nodes["x"] -= 1.0
+    assert settle(cell.constants[0], nodes, cell.trials[0])[1] > 1e-3
+    drag = float(cell.constants["kt"][0]) * np.hypot(nodes["sx"], nodes["sz"])
+    assert np.all(drag <= float(cell.constants["friction"][0]) * nodes["pressure"] + 1e-12)
