@@ -105,7 +105,7 @@ def undisturbed(story, timeout_s=60.0, tries_n=5):
         kept = [0.0]
         try:
             return asyncio.run(watched(kept))
-        except (AssertionError, DriverError):
+        except (AssertionError, DriverError, asyncio.CancelledError):  # the last where it was held before an interrupt
             if kept[0] < 0.5 * PAUSE_S:
                 raise
     return asyncio.run(watched([0.0]))
