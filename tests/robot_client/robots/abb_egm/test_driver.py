@@ -28,14 +28,18 @@ class Wire:
         self.sent.append(codec.decode_guidance(datagram).pose)
 
 
-def answers_to(tilt_deg, **state):
-    """Answers to ten datagrams of a resting arm with a tilted tool, and the reported failure."""
+def answers_to(tilt_deg, then=(), **state):
+    """Answers to ten datagrams of a resting arm with a tilted tool, and the reported failure.
+
+    ``then``: what the last five say instead.
+    """
     half = math.radians(180.0 - tilt_deg) / 2.0
     measured = codec.Pose(5.0, 0.0, 60.0, math.cos(half), math.sin(half), 0.0, 0.0)
     arm, wire = EgmArm(Settings(), Limits(), Ramps()), Wire()
     arm._socket, arm._robot = wire, ("127.0.0.1", 6510)
     for number in range(10):
-        datagram = codec.encode_robot(codec.RobotState(number, 4 * number, measured, **state))
+        says = dict(then) if number >= 5 else {}
+        datagram = codec.encode_robot(codec.RobotState(number, 4 * number, measured, **state | says))
         arm._on_datagram(datagram, 0.004 * number)
     return wire.sent, arm._watch.not_ready
 
@@ -52,6 +56,7 @@ def test_a_tilted_arm_is_never_answered_since_every_target_would_turn_it_upright
     sent, reason = answers_to(25.0)
     assert sent == []
     assert "tilted by 25.00 deg, allowed 2" in reason
+    assert answers_to(25.0, then={"mc_state": "stopped"}) == ([], reason), "nor once its guidance has timed out"
 
 
 @pytest.mark.parametrize("mc_state", ["undefined", "stopped"])
