@@ -11,6 +11,7 @@ from robot_client.insertion.events import Event, Failure, FromService
 from robot_client.insertion.limits import check_pose
 from robot_client.ports import Check, DriverError, Finding, Signals
 from robot_client.session.commission.record import commissioned
+from robot_client.session.runner import leave
 from robot_client.session.service_link import ServiceLink
 from robot_client.settings import Settings
 from service.contract import wire
@@ -68,9 +69,7 @@ async def findings_of(settings: Settings) -> AsyncIterator[tuple[str, Finding]]:
             for finding in findings:
                 yield name, finding
     finally:
-        for port in (arm, gripper):
-            with contextlib.suppress(Exception):
-                await port.close()
+        await leave(arm, gripper)
         kept.close()
 
 

@@ -83,6 +83,13 @@ async def close_gripper(closing: Coroutine[Any, Any, None], *, failed: bool = Fa
             raise DriverError(f"gripper: its driver broke as it closed: {reason(error)}") from None
 
 
+async def leave(*ports: Arm | Gripper | DecisionService) -> None:
+    """Close ports of which nothing more is asked; one that breaks, or hangs for CLOSING_S, is left as it is."""
+    for port in ports:
+        with contextlib.suppress(Exception):
+            await asyncio.wait_for(port.close(), CLOSING_S)
+
+
 def _gives_up(error: Exception) -> Failure:
     """So that the arm holds, the service hears of it, and the log names the reason."""
     code, text = ("not_ready", "") if isinstance(error, DriverError) else ("broken", f"{type(error).__name__}: ")
@@ -256,9 +263,7 @@ class Runner:
     async def _close(self) -> None:
         """The arm first: its program is stopped even if another port hangs."""
         self.farewell = await farewell_of(self.arm)
-        for port in (self.service, self.gripper):
-            with contextlib.suppress(Exception):
-                await asyncio.wait_for(port.close(), CLOSING_S)
+        await leave(self.service, self.gripper)
         self.recorder.end(self.summary())
 
     def link(self) -> dict[str, Any]:

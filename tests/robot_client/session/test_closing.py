@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from robot_client.cli import commission, home
+from robot_client.cli.check import findings_of
 from robot_client.cli.commission import Probing
 from robot_client.grippers.dry_run.driver import DryGripper
 from robot_client.ports import DriverError
@@ -94,6 +95,16 @@ def stories(tmp_path, monkeypatch):
         for name, story in (("question", a_question), ("leave", a_leave))
     }
     return {"errand": an_errand, "homing": a_homing, "try": a_try, "try part": partial(a_try, how=try_part), **asked}
+
+
+@pytest.mark.parametrize("how", ["hangs", "raises"])
+async def test_a_gripper_that_does_not_close_keeps_no_check_from_its_findings(how, stories, monkeypatch):
+    monkeypatch.setattr(Settings, "make_gripper", lambda _settings: gripper_that(how)())
+
+    async def names():
+        return [name async for name, _finding in findings_of(Settings())]
+
+    assert {"plan", "service"} <= set(await asyncio.wait_for(names(), 10.0))
 
 
 NAMES = ["errand", "homing", "try", "try part", "question", "leave"]
