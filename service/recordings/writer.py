@@ -277,6 +277,8 @@ def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
         for name, values in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
+    with partial.open("rb") as file:
+        os.fsync(file.fileno())  # a power cut costs the attempt under way, and none before it
     partial.replace(path)
 
 

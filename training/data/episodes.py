@@ -10,7 +10,9 @@ regrasp. They are closer to the gap than a network's first question, so they are
 import hashlib
 import json
 import zipfile
-from collections.abc import Iterator
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -176,7 +178,7 @@ def _attempts(folder: Path) -> Iterator[Attempt]:
         errors = _errors(summary, moves)
         if not (np.abs([off for off in errors if off is not None]) < FARTHEST).all():
             raise ValueError(f"the error of an attempt is no number of mm and deg below {FARTHEST:g}")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ContractError(f"{folder} is no recording of an insertion: {error}") from error
     probe = summary.get("purpose") == "probe"
     first = PROBE if probe else LATER if summary.get("continues") else WORK
@@ -203,11 +205,11 @@ def _moves(summary: dict[str, Any], shown: dict[int, tuple[Inputs | None, Move]]
 
 def _shown(path: Path) -> tuple[Inputs | None, Move]:
     """The networks' input in an attempt, None if they read no depth or it was not known, and the move that followed."""
-    with path.open("rb") as stream, np.load(stream) as stored:
+    with _opened(path) as stored:
         decision = json.loads(str(stored["decision"]))
         moves = float(decision.get("dx_mm", 0.0)), float(decision.get("dtheta_deg", 0.0))
         paused = decision.get("reason") == "stale"  # the steps of a press in which the arm paused are of other depths
-        if paused or "steps" not in stored.files:
+        if paused or "steps" not in stored:
             return None, moves
         steps, conditions = stored["steps"], np.asarray(stored["conditions"], np.float32)
     if steps.shape[1:] != (2, LATTICE.rows, LATTICE.columns, 3) or not len(steps):
@@ -217,6 +219,18 @@ def _shown(path: Path) -> tuple[Inputs | None, Move]:
     if conditions.shape != (len(CONDITIONS),) or not np.isfinite(conditions).all():
         raise ValueError(f"{path.name} holds conditions {conditions}, expected {', '.join(CONDITIONS)}")
     return (steps, conditions), moves
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Mapping[str, Any]]:
+    """An attempt's arrays; of a file that a power cut left damaged, ValueError says so, and how to go on."""
+    try:
+        if not zipfile.is_zipfile(path):
+            raise zipfile.BadZipFile("it is cut short")
+        with np.load(path) as stored:
+            yield stored
+    except (zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(f"{path.name} is damaged ({error}); remove it, and the other attempts are read") from error
 
 
 def _errors(summary: dict[str, Any], moves: dict[int, Move]) -> list[Move | None]:

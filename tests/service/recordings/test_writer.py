@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+import time
 import tracemalloc
 from pathlib import Path
 from typing import Any
@@ -139,6 +140,10 @@ def test_all_files_are_on_the_disk_before_the_recording_has_its_final_name(tmp_p
     monkeypatch.setattr(os, "fsync", fsync)
     recorder.message("client", {"type": "hello"}, 1)
     recorder.attempt(1, lambda: {"steps": np.zeros(3)})
+    attempt, deadline = recorder.folder / "attempt_01.npz", time.monotonic() + 10
+    while not attempt.exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert on_disk[attempt.stat().st_ino] == attempt.stat().st_size, "a cut later in the insertion costs no attempt"
     path = recorder.close({"outcome": "inserted"})
     files = {file.name: file.stat() for file in path.parent.iterdir()}
     assert set(files) >= {"insertion.mcap", "summary.json", "attempt_01.npz"}

@@ -42,6 +42,11 @@ def recorded(root, count, off_mm=0.0, seed=0, *, stated_right=True, work=False, 
     return root
 
 
+def zeroed(whole):
+    """As long as it was, with a part that never reached the disk."""
+    return whole[: len(whole) // 2] + bytes(50) + whole[len(whole) // 2 + 50 :]
+
+
 def keep(folder, attempts, purpose, outcome, x_mm, theta_deg, **facts):
     folder.mkdir(parents=True)
     for number, (steps, decision) in enumerate(attempts, 1):
@@ -107,12 +112,21 @@ def test_a_file_that_a_full_disk_lost_changes_no_label_of_another_attempt(tmp_pa
     assert read_episodes(tmp_path, Sensor.load()).error.tolist() == [errors[n] for n in errors if n != lost]
 
 
-def test_a_file_that_was_cut_off_is_named(tmp_path):
-    keep(tmp_path / "a", [(steps_of(1, 1, np.random.default_rng(0)), {})], "probe", "failed", -7.0, 3.0)
-    (path,) = tmp_path.glob("a/attempt_*.npz")
-    path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(ContractError, match="a is no recording of an insertion"):
+@pytest.mark.parametrize(
+    "damage", [lambda whole: whole[:0], lambda whole: whole[:200], zeroed], ids=["empty", "cut", "zeros"]
+)
+def test_a_file_that_a_power_cut_damaged_is_named_and_the_others_are_read_without_it(tmp_path, damage):
+    rng = np.random.default_rng(0)
+    starts = [{"x_mm": 4.0, "yaw_deg": -6.0}]
+    keep(tmp_path / "a", [(steps_of(1, 1, rng), {}) for _ in range(2)], "probe", "failed", -7.0, 3.0, starts=starts)
+    path = tmp_path / "a" / "attempt_02.npz"
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(
+        ContractError, match=r"a is no recording.*: attempt_02\.npz is damaged .*; remove it, and the other"
+    ):
         read_episodes(tmp_path, Sensor.load())
+    path.unlink()
+    assert read_episodes(tmp_path, Sensor.load()).error.tolist() == [[-7.0, 3.0]]
 
 
 @pytest.mark.parametrize(
