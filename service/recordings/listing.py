@@ -37,6 +37,7 @@ class Decided(BaseModel):
 class Summary(BaseModel):
     """What ``summary.json`` says of a finished insertion; newer ones may say more, older ones say less.
 
+    ``earlier_n``: attempts of the insertions that it ``continues``, where they are known.
     Of its last reference: ``markers_share`` that the worse finger showed, ``brightness_grey`` of both pictures. And
     ``gel_distance`` of the gel that is less like the one that was calibrated, when the open gels were learnt.
     """
@@ -48,6 +49,7 @@ class Summary(BaseModel):
     cause: str | None = None
     object: str | None = None
     continues: str | None = None
+    earlier_n: int = 0
     seconds: float | None = None
     decisions: list[Decided] = []
     doubts: list[dict[str, Any]] = []
@@ -87,13 +89,14 @@ class Summary(BaseModel):
         held_n, stated_n = self.held_n
         reach = [one.reach_pitch for one in self.decisions if one.reach_pitch]
         decided = self.outcome == "inserted" or self.cause == "attempts"
+        counted = self.earlier_n > 0 or not self.continues
         values = {
             "light": self.brightness_grey,
             "markers": self.markers_share,
             "gel": self.gel_distance,
             "reach": sum(reach) / len(reach) if reach else None,
             "coverage": held_n / stated_n if stated_n else None,
-            "trials": float(self.attempts) if decided and not self.continues else None,
+            "trials": float(self.earlier_n + self.attempts) if decided and counted else None,
         }
         return {name: value for name, value in values.items() if value is not None and math.isfinite(value)}
 

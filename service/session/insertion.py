@@ -109,6 +109,7 @@ class Insertion:
         seconds = round((now_ns() - self.opened_ns) / 1e9, 2)
         lost_n = self.telemetry_lost_n
         task |= {"continues": self.continues} if self.continues else {}
+        task |= {"earlier_n": self.tried_n} if self.tried_n else {}
         task |= {"seconds": seconds, "decisions": self._decisions, "robot_samples_lost_n": lost_n}
         return task | gels_of((self.session.left, self.session.right), self.session.attempt)
 

@@ -113,6 +113,7 @@ def test_an_insertion_goes_on_with_what_the_one_before_knew_where_it_names_it(
     shared.abort("operator", "done")
     wait_for_recorders()
     assert Recording(recorded.with_name("insertion.mcap")).metadata["continues"] == ("one" if knows else "")
+    assert json.loads(recorded.with_name("summary.json").read_text()).get("earlier_n") == (1 if knows else None)
     assert shared.opened_n == 2
 
 
@@ -255,6 +256,10 @@ def test_what_an_insertion_shows_of_the_cell_goes_into_its_charts_unless_it_was_
     charts = json.loads((tmp_path / "r" / "charts.json").read_text())["charts"]
     assert charts["light"]["learnt"] == {"box": [130.0]}
     assert charts["trials"]["learnt"] == {"box": [2.0]}
+    for continued in ({"earlier_n": 3}, {}):  # of the second it is not known how many came before
+        shared._chart({**ended, "outcome": "inserted", "continues": "zero", **continued}, models)
+    charts = json.loads((tmp_path / "r" / "charts.json").read_text())["charts"]
+    assert charts["trials"]["learnt"] == {"box": [2.0, 5.0]}
 
 
 @pytest.mark.parametrize("opened", [False, True])
