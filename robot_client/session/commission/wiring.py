@@ -10,6 +10,7 @@ from service.contract.words.wiring import WIRINGS
 SIDES = ((8.0, 8.0), (-8.0, -8.0), (8.0, -8.0), (-8.0, 8.0))
 """Errors of the wiring check: mm and deg. Straight above the edges, a yaw to either side looks alike."""
 CLEAR_SHARE = 0.2  # share of the known error below which estimates show no sign
+CLEAR_ODDS = 200.0  # to one, by their own sigmas, of a sign of the yaw, which narrow and round parts hardly feel
 LEAST_TURN_DEG, LIKE, LEAST_TURNS, ALIKE = 0.08, 0.5, 2, 0.5  # turns of similar size, and their share that follows x
 WENT_IN_SIGMA_MM, UNSTATED_SIGMA = 1.5, 5.0
 OFF_MM, OFF_DEG = 5.0, 8.0  # largest common offset of two opposite sides in a cell with a correct frame
@@ -84,7 +85,8 @@ def _axes(signs: tuple[Probe, ...]) -> tuple[Axis | None, Axis | None]:
     if all(probe.estimate_x_mm is None for probe in signs):
         return None, None
     x = _axis([(probe.x_mm, *_felt_x(probe)) for probe in signs])
-    return x, _axis([(probe.theta_deg, probe.estimate_theta_deg, probe.sigma_theta_deg) for probe in signs])
+    theta = [(probe.theta_deg, probe.estimate_theta_deg, probe.sigma_theta_deg) for probe in signs]
+    return x, _axis(theta, CLEAR_ODDS)
 
 
 def _reversed(x: Axis, theta: Axis | None) -> tuple[str, ...]:
@@ -108,8 +110,12 @@ def _felt_x(probe: Probe) -> tuple[float | None, float | None]:
     return probe.estimate_x_mm, probe.sigma_x_mm
 
 
-def _axis(felt: list[tuple[float, float | None, float | None]]) -> Axis | None:
-    """Sign and offset of (error, felt, sigma); None if a side gives no answer."""
+def _axis(felt: list[tuple[float, float | None, float | None]], odds: float = 1.0) -> Axis | None:
+    """Sign and offset of (error, felt, sigma); None if a side gives no answer.
+
+    ``odds``: of a sign, against the other one. An estimate is the mean of a normal posterior; whatever its prior around
+    0 was, an error of either sign is exp(2 error felt / sigma^2) times as likely as its opposite.
+    """
     sides: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
     for error, value, sigma in felt:
         if value is not None:
@@ -118,8 +124,10 @@ def _axis(felt: list[tuple[float, float | None, float | None]]) -> Axis | None:
         return None
     means = [sum(value for value, _ in side) / len(side) for side in sides.values()]
     signed = sum(value * weight * (1.0 if up else -1.0) for up, side in sides.items() for value, weight in side)
-    share = signed / (abs(felt[0][0]) * sum(weight for side in sides.values() for _, weight in side))
-    return (0 if abs(share) <= CLEAR_SHARE else 1 if share > 0 else -1), 0.5 * sum(means)
+    error = abs(felt[0][0])
+    share = signed / (error * sum(weight for side in sides.values() for _, weight in side))
+    unclear = abs(share) <= CLEAR_SHARE or 2.0 * error * abs(signed) < math.log(odds)
+    return (0 if unclear else 1 if share > 0 else -1), 0.5 * sum(means)
 
 
 def _mirrored(signs: tuple[Probe, ...]) -> str:

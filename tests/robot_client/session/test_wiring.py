@@ -1,5 +1,6 @@
 """Four probes name wiring mistakes, and accuse no good cell."""
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -89,6 +90,24 @@ def test_a_good_cell_is_never_accused(x, theta):
 def test_a_yaw_that_is_not_felt_is_no_mistake_and_leaves_both_causes():
     assert mistakes(tuple(answers((1, 0)))) == ()
     assert mistakes(tuple(answers((-1, 0)))) == (WIRINGS[-1, 1], WIRINGS[-1, -1])
+
+
+@pytest.mark.parametrize("sigma_deg", [3.0, 5.0, 8.0, 20.0])
+def test_a_part_that_hardly_feels_the_yaw_accuses_no_cell_and_one_that_feels_it_names_a_reversed_one(sigma_deg):
+    """Estimates are posterior means of a measurement with this sigma; the prior is that of the networks."""
+    rng, prior_deg, cells_n = np.random.default_rng(0), 15.0 / 3.0**0.5, 1000
+    known = prior_deg**2 / (prior_deg**2 + sigma_deg**2)
+    accused_n = named_n = 0
+    for signs_yaw in (1, -1) * cells_n:
+        signs = []
+        for x, theta in SIDES:
+            yaw = known * (signs_yaw * theta + rng.normal(0.0, sigma_deg))
+            at_pose = WorkPose(x_mm=x, y_mm=0.0, z_mm=35.0, yaw_deg=theta)
+            signs.append(probe_of("p", at_pose, felt(x, yaw, (2.0, known**0.5 * sigma_deg))))
+        accused_n += (named := bool(mistakes(tuple(signs)))) and signs_yaw == 1
+        named_n += named and signs_yaw == -1
+    assert accused_n <= cells_n / 100
+    assert named_n >= {3.0: 0.99, 5.0: 0.8}.get(sigma_deg, 0.0) * cells_n
 
 
 @pytest.mark.parametrize(("turned", "finger"), [((0.2, 0.15), "left"), ((-0.15, -0.2), "right")])
