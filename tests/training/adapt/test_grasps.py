@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from training.adapt.frames import find_gap
+from training.adapt.frames import ZERO, find_gap
 from training.adapt.objections import to_gain, to_wider
 from training.data.labels import class_of
 from training.metrics.figures import Predictions
@@ -60,4 +60,9 @@ def test_the_sigma_of_the_gap_holds_what_a_grasp_has_in_common():
     assert held_n >= 0.9 * runs_n
     alone = find_gap(stated, stated + rng.normal(0.0, 0.3, stated.shape), groups)
     assert find_gap(stated, stated + 1.0, np.full(60, "one")).at == pytest.approx((-1.0, -1.0), abs=0.1)
-    assert alone.sigma[0] < 0.5 * gap.sigma[0]
+    assert alone.sigma[0] ** 2 - ZERO[0] ** 2 < 0.25 * (gap.sigma[0] ** 2 - ZERO[0] ** 2)
+
+
+def test_no_number_of_probes_tells_the_gap_better_than_the_zero_of_the_release():
+    stated = np.random.default_rng(5).uniform(-15, 15, (1000, 2))
+    assert np.all(np.array(find_gap(stated, stated, grasps_of(1000, 1)).sigma) > 0.95 * ZERO)
