@@ -56,9 +56,9 @@ class Record(Contract):
         """How late pictures and arm are together at most, s; None if it was not measured."""
         return late_s(self.timed)
 
-    def digest(self) -> str:
-        """SHA-256 of all other fields."""
-        content = self.model_dump(mode="json", exclude={"sha256"})
+    def digest(self, *, as_read: bool = False) -> str:
+        """SHA-256 of all other fields as its file has them, or of those it had: one of an older release has fewer."""
+        content = self.model_dump(mode="json", exclude={"sha256"}, exclude_none=True, exclude_unset=as_read)
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -85,7 +85,7 @@ def read_record(path: Path) -> Record | None:
     except ValueError as error:
         why = first_error(error) if isinstance(error, ValidationError) else str(error)
         raise ContractError(f"{path} is no record of a commissioning: {why}; commission the cell again") from None
-    if record.sha256 != record.digest():
+    if record.sha256 != record.digest(as_read=True):
         raise ContractError(f"{path} is not as it was written: commission the cell again")
     for name, sha256 in record.pictures.items():
         picture = path.with_name(name)
