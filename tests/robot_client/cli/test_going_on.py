@@ -10,6 +10,7 @@ from robot_client.cli.commission import Probing, _commission
 from robot_client.ports import DriverError
 from robot_client.session.commission.record import RECORD, Record, keep_record
 from robot_client.settings import SettingsError, Task
+from service.contract.frames import ContractError
 from tests.robot_client.cli.test_probing import REAL
 from tests.robot_client.insertion.stories import hello, service
 from tests.robot_client.session.test_commission import camera
@@ -40,6 +41,17 @@ def test_a_record_goes_on_with_its_object_and_until_the_signs_are_complete_at_it
     with pytest.raises(SettingsError, match=says) if says else contextlib.nullcontext():
         cli.commission(settings, live=True, probes_n=8, seed=0, out=tmp_path, one_grip=True)
     assert bool(began) == (says is None)
+
+
+@pytest.mark.parametrize("damage", [lambda text: text[:40], lambda text: text.replace("seed = 0", "seed = 1")])
+def test_a_damaged_record_is_refused_until_its_folder_is_moved_away_as_it_says(tmp_path, damage):
+    path = tmp_path / "commissioning" / RECORD
+    keep_record(path, Record(begun="today", seed=0))
+    path.write_text(damage(path.read_text()))
+    with pytest.raises(ContractError, match="move its folder away and commission the cell again"):
+        cli.commission(REAL, live=False, probes_n=8, seed=0, out=path.parent, one_grip=True)
+    path.parent.rename(tmp_path / "away")
+    assert cli.commission(REAL, live=False, probes_n=8, seed=0, out=path.parent, one_grip=True).done
 
 
 @pytest.mark.parametrize(("gel", "begins"), [("a", True), ("z", False)])

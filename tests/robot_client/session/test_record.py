@@ -49,7 +49,7 @@ def test_a_real_cell_inserts_only_with_the_record_of_its_commissioning(tmp_path)
 def test_a_file_that_is_no_record_is_refused_by_name(tmp_path, text):
     path = tmp_path / "record.toml"
     path.write_text(text)
-    with pytest.raises(ContractError, match=r"no record of a commissioning.*; commission the cell again"):
+    with pytest.raises(ContractError, match=r"no record of a commissioning.*; move its folder away"):
         read_record(path)
     keep_record(path, Record(begun="today", seed=1))
     assert read_record(path).seed == 1
