@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from robot_client.cli.check import hello_of
+from robot_client.cli.check import FIX_THEM, hello_of
 from robot_client.cli.insert import fixture_of, live_ports, make_plan
 from robot_client.cli.terminal import Outcome, rehearsed, show, show_steps, stop_on_signals, warning
 from robot_client.insertion.state import Phase, Plan
@@ -54,6 +54,9 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
         check_takes_files(out)
     show(warning(live=live, simulated=settings.simulated))
     grips_n = grips_of(settings, one_grip=one_grip)
+    left = left_of(record, probes_n, grips_n)
+    if left and not settings.task.neighbours_stay:
+        show(FIX_THEM)
     steps = steps_of(probes_n, path, record, grips_n)
     if not live:
         return rehearsed("would:", steps)
@@ -65,7 +68,7 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
     else:
         _check_goes_on(path, record, settings.task)
     opens = f", after it has opened the empty fingers to {taught.open_mm:g} mm"
-    show_steps(f"will{opens if left_of(record, probes_n, grips_n) else ''}:", steps)
+    show_steps(f"will{opens if left else ''}:", steps)
     return asyncio.run(_commission(Probing(settings, taught, out), probes_n, path, record, grips_n))
 
 

@@ -45,6 +45,25 @@ def test_a_record_goes_on_with_its_object_and_until_the_signs_are_complete_at_it
     assert bool(began) == (says is None)
 
 
+@pytest.mark.parametrize("live", [False, True])
+@pytest.mark.parametrize(("stay", "warned"), [(False, True), (True, False)])
+def test_neighbours_that_may_slide_are_to_be_fixed_before_anything_moves(
+    tmp_path, monkeypatch, capsys, live, stay, warned
+):
+    """Each press may push them, and the gap with them, away from where the errors are counted."""
+    printed = []
+
+    async def begins(*_asked):
+        printed.append(capsys.readouterr().out)
+
+    monkeypatch.setattr(cli, "_commission", begins)
+    settings = REAL.model_copy(update={"task": Task(neighbours_stay=stay)})
+    cli.commission(settings, live=live, probes_n=8, seed=0, out=tmp_path, one_grip=True)
+    lines = " ".join("".join([*printed, capsys.readouterr().out]).split())
+    assert len(printed) == live
+    assert ("task.neighbours_stay is not true: fix the neighbours for the commissioning" in lines) == warned
+
+
 @pytest.mark.parametrize("damage", [lambda text: text[:40], lambda text: text.replace("seed = 0", "seed = 1")])
 def test_a_damaged_record_is_refused_until_its_folder_is_moved_away_as_it_says(tmp_path, damage):
     path = tmp_path / "commissioning" / RECORD
@@ -117,6 +136,7 @@ def test_a_complete_record_is_not_probed_again_and_says_what_to_do_after_a_chang
     lines = " ".join(capsys.readouterr().out.split())
     assert "will: probe nothing: the record of 2026-01-01" in lines
     assert advice in lines
+    assert "neighbours" not in lines, "nothing presses"
     assert not began, "nor do the fingers open"
     (tmp_path / CELL).unlink()
     assert cli.commission(REAL, live=True, **asked).done
