@@ -19,7 +19,9 @@ from service.contract.refusals import reason
 
 NO_TOKEN = "the service names its file at its start; give it as service.token_file"  # noqa: S105 - no token
 
-MAY_SLIDE = "task.neighbours_stay is not true: after a blocked attempt no insertion is confirmed"
+_UNSURE = "task.neighbours_stay is not true"
+MAY_SLIDE = f"{_UNSURE}: after a blocked attempt no insertion is confirmed"
+FIX_THEM = f"{_UNSURE}: fix the neighbours for the commissioning, or the known errors of its probes are wrong"
 
 
 def check(settings: Settings) -> Outcome:

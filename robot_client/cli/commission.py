@@ -5,26 +5,18 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from robot_client.cli.check import hello_of
+from robot_client.cli.check import FIX_THEM, hello_of
 from robot_client.cli.insert import fixture_of, live_ports, make_plan
 from robot_client.cli.terminal import Outcome, rehearsed, show, show_steps, stop_on_signals, warning
 from robot_client.insertion.state import Phase, Plan
 from robot_client.ports import DriverError, Gripper
 from robot_client.session.commission.answers import Answered, Answers
 from robot_client.session.commission.kept_gripper import KeptGripper
-from robot_client.session.commission.lateness import MOST_N, PLACE, slow_and_fast
+from robot_client.session.commission.lateness import slow_and_fast
 from robot_client.session.commission.pictures import picture_of
 from robot_client.session.commission.record import RECORD, Record, read_record
-from robot_client.session.commission.run import (
-    FITS,
-    PER_GRASP,
-    PRESSES,
-    REACH,
-    Commissioning,
-    Ended,
-    errors,
-    second_grip_n,
-)
+from robot_client.session.commission.run import FITS, REACH, Commissioning, Ended, errors, second_grip_n
+from robot_client.session.commission.steps import left_of, steps_of
 from robot_client.session.commission.taught import CELL, teach
 from robot_client.session.commission.wiring import SIDES
 from robot_client.session.cycle import CycleSettings, is_empty
@@ -62,7 +54,10 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
         check_takes_files(out)
     show(warning(live=live, simulated=settings.simulated))
     grips_n = grips_of(settings, one_grip=one_grip)
-    steps = _steps(probes_n, path, record, grips_n)
+    left = left_of(record, probes_n, grips_n)
+    if left and not settings.task.neighbours_stay:
+        show(FIX_THEM)
+    steps = steps_of(probes_n, path, record, grips_n)
     if not live:
         return rehearsed("would:", steps)
     if record is None:
@@ -72,7 +67,8 @@ def commission(settings: Settings, *, live: bool, probes_n: int, seed: int, out:
         raise SettingsError(f"{path} names mistakes; mend them and remove it: {'; '.join(record.named)}")
     else:
         _check_goes_on(path, record, settings.task)
-    show_steps(f"will, after it has opened the empty fingers to {taught.open_mm:g} mm:", steps)
+    opens = f", after it has opened the empty fingers to {taught.open_mm:g} mm"
+    show_steps(f"will{opens if left else ''}:", steps)
     return asyncio.run(_commission(Probing(settings, taught, out), probes_n, path, record, grips_n))
 
 
@@ -105,24 +101,6 @@ def with_grip(settings: Settings, grip_n: float | None) -> Settings:
     scaled = {name: value and share * value for name in SCALED if (value := getattr(task, name)) is not None}
     gripper = settings.gripper.model_copy(update={key: grip_n})
     return settings.model_copy(update={"gripper": gripper, "task": task.model_copy(update=scaled)})
-
-
-def _steps(probes_n: int, path: Path, record: Record | None, grips_n: Sequence[float | None]) -> list[str]:
-    first_n = len(SIDES) + len(PRESSES) * len(grips_n)
-    done_n = first_n if record is None else max(first_n, record.done_n)
-    grips = " and ".join(f"{grip_n:g} N" for grip_n in grips_n if grip_n)
-    return [
-        f"regrasp the object from its fixture: before each probe, and before every {PER_GRASP} of the last ones",
-        f"probe at {_places(SIDES)}: are the signs right?",
-        f"press 7 to {MOST_N} times at {_places((PLACE,))}, at two speeds: how late are pictures and arm?",
-        f"press at {_places(PRESSES)} until the gel slides" + (f", at {grips}" if grips else ""),
-        f"{max(0, probes_n - done_n)} more probes from errors within {REACH[0]:g} mm and {REACH[1]:g} deg",
-        f"keep what was seen in {path} after each, with pictures of the signs and presses, and {CELL} beside it",
-    ]
-
-
-def _places(of: tuple[tuple[float, float], ...]) -> str:
-    return ", ".join(f"{x:+g} mm {theta:+g} deg" for x, theta in of)
 
 
 class Probing:
@@ -242,25 +220,18 @@ async def _commission(
     stop_on_signals()
     draw = errors(record.seed, *REACH, FITS)
     press, press_at, picture = probing.press, probing.press_at, probing.picture
+    several, fetch = probing.several, probing.fetch
     running = Commissioning(
-        path,
-        record,
-        probing.probe,
-        probing.several,
-        probing.fetch,
-        draw,
-        show,
-        press,
-        press_at=press_at,
-        picture=picture,
+        path, record, probing.probe, several, fetch, draw, show, press, press_at=press_at, picture=picture
     )
     probing.late_s = lambda: running.record.late_s
     why = ""
     try:
         if record.gels:  # also where no probe is left to notice another one
             running.check_gels(await probing.gels(), "before any probe")
-        await probing.begin()
-        running.grips_n = await probing.allowed(grips_n)
+        if left_of(record, probes_n, grips_n):
+            await probing.begin()
+            running.grips_n = await probing.allowed(grips_n)
         record = await running.run(probes_n)
         if not record.named:
             probing.teach(record, path)

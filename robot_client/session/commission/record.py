@@ -15,6 +15,7 @@ from service.contract.frames import Contract, ContractError, Finger, first_error
 from service.contract.toml import read_toml, toml_text
 
 RECORD = "commissioning.toml"
+ANEW = "move its folder away and commission the cell again"
 
 HEAD = "# The commissioning of a cell. `insert --live` refuses it, and whatever it names, where it was edited.\n"
 
@@ -56,9 +57,9 @@ class Record(Contract):
         """How late pictures and arm are together at most, s; None if it was not measured."""
         return late_s(self.timed)
 
-    def digest(self) -> str:
-        """SHA-256 of all other fields."""
-        content = self.model_dump(mode="json", exclude={"sha256"})
+    def digest(self, *, as_read: bool = False) -> str:
+        """SHA-256 of all other fields as its file has them, or of those it had: one of an older release has fewer."""
+        content = self.model_dump(mode="json", exclude={"sha256"}, exclude_none=True, exclude_unset=as_read)
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
@@ -84,13 +85,13 @@ def read_record(path: Path) -> Record | None:
         raise ContractError(f"cannot read {path}: {error.strerror}") from None
     except ValueError as error:
         why = first_error(error) if isinstance(error, ValidationError) else str(error)
-        raise ContractError(f"{path} is no record of a commissioning: {why}; commission the cell again") from None
-    if record.sha256 != record.digest():
-        raise ContractError(f"{path} is not as it was written: commission the cell again")
+        raise ContractError(f"{path} is no record of a commissioning: {why}; {ANEW}") from None
+    if record.sha256 != record.digest(as_read=True):
+        raise ContractError(f"{path} is not as it was written: {ANEW}")
     for name, sha256 in record.pictures.items():
         picture = path.with_name(name)
         if not picture.is_file() or hashlib.sha256(picture.read_bytes()).hexdigest() != sha256:
-            raise ContractError(f"{picture} is not as it was written: commission the cell again")
+            raise ContractError(f"{picture} is not as it was written: {ANEW}")
     return record
 
 

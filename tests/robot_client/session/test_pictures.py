@@ -55,7 +55,7 @@ def test_a_picture_of_each_sign_and_press_lies_beside_the_record(tmp_path):
 def test_a_picture_that_was_changed_or_removed_invalidates_the_record(tmp_path, name, change):
     pictured(tmp_path / RECORD, Cell(), drawn)
     change(tmp_path / name)
-    with pytest.raises(ContractError, match=f"{name} is not as it was written: commission the cell again"):
+    with pytest.raises(ContractError, match=f"{name} is not as it was written: move its folder away"):
         read_record(tmp_path / RECORD)
 
 

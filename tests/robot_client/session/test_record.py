@@ -1,5 +1,9 @@
 """The record of a commissioning, which `insert --live` demands: one that was edited or cut off is refused."""
 
+import hashlib
+import json
+import tomllib
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -45,7 +49,7 @@ def test_a_real_cell_inserts_only_with_the_record_of_its_commissioning(tmp_path)
 def test_a_file_that_is_no_record_is_refused_by_name(tmp_path, text):
     path = tmp_path / "record.toml"
     path.write_text(text)
-    with pytest.raises(ContractError, match=r"no record of a commissioning.*; commission the cell again"):
+    with pytest.raises(ContractError, match=r"no record of a commissioning.*; move its folder away"):
         read_record(path)
     keep_record(path, Record(begun="today", seed=1))
     assert read_record(path).seed == 1
@@ -58,6 +62,23 @@ def test_a_record_is_read_as_it_was_written(tmp_path):
     keep_record(path, record)
     assert read_record(path).model_copy(update={"sha256": ""}) == record
     assert len(path.read_text().splitlines()) < 20 + len(signs) + len(presses), "a line for each probe"
+
+
+@pytest.mark.parametrize(("key", "value"), [("seed", 2), ("timed", None), ("approach_z_mm", 35.0), ("object", "")])
+def test_the_record_of_an_older_release_has_fewer_fields_and_is_read_but_not_if_edited(tmp_path, key, value):
+    """In its presses, too; and to remove a field is to edit it, or to add one, even with its default."""
+    path, record = tmp_path / RECORD, Record(begun="then", seed=1, signs=tuple(answers()), timed=tuple(series_of(0.05)))
+    written = record.model_dump(mode="json", exclude={"sha256": True, "object": True, "timed": {"__all__": {"afresh"}}})
+    older = tomllib.loads(toml_text(written))
+    older["sha256"] = hashlib.sha256(json.dumps(older, sort_keys=True).encode()).hexdigest()
+    path.write_text(toml_text(older))
+    read = read_record(path)
+    assert read.model_copy(update={"sha256": ""}) == record
+    keep_record(path, read)
+    assert read_record(path).model_copy(update={"sha256": ""}) == record, "and this release goes on with it"
+    path.write_text(toml_text({**older, key: value}))
+    with pytest.raises(ContractError, match="not as it was written"):
+        read_record(path)
 
 
 def test_a_full_disk_leaves_the_record_of_the_probe_before(tmp_path):
