@@ -63,6 +63,22 @@ def version_of(models: ModelSet) -> str:
     return _name(model.sha256 for model in models.models)
 
 
+def check_served(released: ModelSet) -> None:
+    """Raise ContractError where a restart would begin anew with other networks, which nothing has judged."""
+    folder = released.models[0].path.parent
+    if not _holds(folder, version_of(released)):
+        raise ContractError(
+            f"{folder} no longer holds the networks that this service was started with, and the next start would let"
+            " what is there decide: put them back, and export the new ones to another folder"
+        )
+
+
+def _holds(folder: Path, version: str) -> bool:
+    """Whether a folder has the files of a version, and no other networks."""
+    files = (path.read_bytes() for path in folder.glob("*.onnx"))
+    return _name(hashlib.sha256(content).hexdigest() for content in files) == version
+
+
 def _name(hashes: Iterable[str]) -> str:
     return hashlib.sha256("".join(sorted(hashes)).encode()).hexdigest()[:16]
 
@@ -106,7 +122,7 @@ class Store:
         """Copy a version; returns its name. Raises OSError if there is no room, ContractError if it has changed."""
         version = version_of(models)
         self._own()
-        if self._holds(version):
+        if _holds(self.home / version, version):
             return version
         fresh = self.home / f".{version}"
         for left in (fresh, self.home / version):  # a kill may have interrupted its writing or removal
@@ -121,10 +137,6 @@ class Store:
         fresh.rename(self.home / version)
         _sync(self.home)
         return version
-
-    def _holds(self, version: str) -> bool:
-        files = (path.read_bytes() for path in (self.home / version).glob("*.onnx"))
-        return _name(hashlib.sha256(content).hexdigest() for content in files) == version
 
     def wire(self, wiring: Wiring) -> None:
         """Store a wiring, safe against a power cut; versions without a reference are removed."""

@@ -12,7 +12,7 @@ from service.contract.wire import Cause, ControllerName, DoubtReason, Finished, 
 from service.decision.models import ModelSet, load_models
 from service.versions.beside import Beside
 from service.versions.contest import ENOUGH, FAILED, Contest, Role
-from service.versions.store import WIRING, Store, Wiring, version_of
+from service.versions.store import WIRING, Store, Wiring, check_served, version_of
 
 BLAMED: frozenset[Cause] = frozenset({"attempts", "no_decision", "not_confirmed"})
 """Causes of an end that decisions may be responsible for."""
@@ -149,9 +149,10 @@ class Versions:
     def give(self, folder: Path, *, at_start: bool = False) -> None:
         """Let a folder's networks run in shadow, replacing the present shadow.
 
-        Raises ContractError if they cannot serve, cannot be compared, already decide, or were rejected, OSError as
-        usual. A setting repeats the same request ``at_start`` each time: it is met once, so that what a person changes
-        persists, and what is refused is a `problem`, because the cell works without a shadow.
+        Raises ContractError if they cannot serve, cannot be compared, already decide, or were rejected, or where the
+        served folder has changed, OSError as usual. A setting repeats the same request ``at_start`` each time: it is
+        met once, so that what a person changes persists, and what is refused is a `problem`, because the cell works
+        without a shadow.
         """
         try:
             self._give(folder, at_start=at_start)
@@ -166,6 +167,7 @@ class Versions:
         models = load_models(folder)
         with self._lock:
             version, wiring = version_of(models), self._now.wiring
+            check_served(self._now.networks[wiring.released])
             if version in {wiring.active, *wiring.beside.values()}:
                 if not at_start and version != wiring.beside.get("shadow"):
                     raise ContractError(f"{folder} holds version {version}, which decides now, or did before")
@@ -179,6 +181,7 @@ class Versions:
             if differs := self._now.active.card.incomparable(models.card):
                 raise ContractError(f"{folder} cannot run in shadow: {differs[0]}")
             _warn(version, models)
+            self._store.keep(self._now.active)
             kept = {**self._now.networks, self._store.keep(models): self._store.load(version)}
             wiring = wiring.with_one("shadow", version, Contest())
             wiring = wiring.model_copy(update={"given": version}) if at_start else wiring
