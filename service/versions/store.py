@@ -14,7 +14,7 @@ from typing import IO, Literal, Self
 
 from pydantic import Field, ValidationError
 
-from service.contract.frames import Contract, ContractError, first_error
+from service.contract.frames import Contract, ContractError, Finger, first_error
 from service.decision.models import ModelSet, load_models
 from service.versions.contest import Contest, Role
 
@@ -26,7 +26,7 @@ class Wiring(Contract):
 
     ``released``: the version in the service's models folder, the origin of all others. ``rejected``: why, by version,
     the latest last: its files stay, so that its recordings can be decided again. ``given``: the shadow that the
-    settings gave last; what a person has changed since stays changed.
+    settings gave last; what a person has changed since stays changed. ``gels``: those with which a version took over.
     """
 
     schema_version: Literal[1] = 1
@@ -36,6 +36,7 @@ class Wiring(Contract):
     contests: dict[Role, Contest] = Field(default_factory=dict)
     rejected: dict[str, str] = Field(default_factory=dict)
     given: str = ""
+    gels: dict[str, dict[Finger, str]] = Field(default_factory=dict)
     sha256: str = ""
 
     def contest(self, role: Role) -> Contest:
@@ -65,11 +66,10 @@ def version_of(models: ModelSet) -> str:
 
 def check_served(released: ModelSet) -> None:
     """Raise ContractError where a restart would begin anew with other networks, which nothing has judged."""
-    folder = released.models[0].path.parent
-    if not _holds(folder, version_of(released)):
+    if not _holds(released.folder, version_of(released)):
         raise ContractError(
-            f"{folder} no longer holds the networks that this service was started with, and the next start would let"
-            " what is there decide: put them back, and export the new ones to another folder"
+            f"{released.folder} no longer holds the networks that this service was started with, and the next start"
+            " would let what is there decide: put them back, and export the new ones to another folder"
         )
 
 
