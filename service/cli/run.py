@@ -98,7 +98,7 @@ def main(arguments: Sequence[str]) -> int:
         station = open_station(settings)
         log_events(station.hub)
         if why := untold(station.manager.calibration):
-            structlog.get_logger().warning("calibration", detail=f"{why}; calibrate again")
+            structlog.get_logger().warning("calibration", detail=f"{why}; calibrate and commission again")
         station.start()
         try:
             station.wait_for_cameras(settings.camera_wait_s)

@@ -113,6 +113,11 @@ class ModelSet:
         return tuple(step.entry for step in self.steps)
 
     @property
+    def folder(self) -> Path:
+        """Where they were loaded from."""
+        return self.models[0].path.parent
+
+    @property
     def cautions(self) -> tuple[str, ...]:
         """What a person should know of networks that may decide all the same, a sentence each."""
         cards = [step.card for step in self.steps]

@@ -31,15 +31,17 @@ class Cause(NamedTuple):
     remedy: str
 
 
+ANEW = "commission again, in a new folder"  # each calibration renames the gels, and the client refuses unknown ones
+ADAPT = f"{ANEW.capitalize()}, and adapt the networks to that; or go back a version."
 CAUSES = (
-    Cause("light", -1, "changed light", "Clean the window of the finger and look at its lamp; calibrate again."),
-    Cause("light", 1, "changed light", "Look for stray light and at the finger's lamp; calibrate again."),
-    Cause("markers", -1, "worn gel", "Look at both gels; replace the one whose dots are missing, and calibrate."),
-    Cause("gel", 1, "new gel", "A gel was changed, or has moved in its holder: calibrate and commission."),
+    Cause("light", -1, "changed light", f"Clean the finger's window, look at its lamp; else calibrate and {ANEW}."),
+    Cause("light", 1, "changed light", f"Look for stray light and at the finger's lamp; else calibrate and {ANEW}."),
+    Cause("markers", -1, "worn gel", f"Look at both gels; replace the one that lacks dots, calibrate and {ANEW}."),
+    Cause("gel", 1, "new gel", f"A gel was changed, or has moved in its holder: calibrate and {ANEW}."),
     Cause("reach", -1, "slipping fingers", "Clean the gels; check the gripper's force."),
-    Cause("reach", 1, "new gel", "A gel or the grip holds more than before: commission again."),
-    Cause("coverage", -1, "networks that fit no longer", "Adapt them to the newest recordings, or go back a version."),
-    Cause("trials", 1, "networks that fit no longer", "Adapt them to the newest recordings, or go back a version."),
+    Cause("reach", 1, "new gel", f"A gel or the grip holds more than before: {ANEW}."),
+    Cause("coverage", -1, "networks that fit no longer", ADAPT),
+    Cause("trials", 1, "networks that fit no longer", ADAPT),
 )
 _NORMAL = NormalDist()
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.contract import FINGERS
+from service.contract import FINGERS, Finger
 from service.perception.light import OTHER_LIGHT, light_apart, light_of
 from service.perception.markers.field import MarkerField
 from service.perception.markers.fingerprint import (
@@ -18,6 +18,7 @@ from service.perception.markers.fingerprint import (
     SAME_GEL,
     TELLING_N,
     fingerprint_of,
+    gel_name,
     likeness,
     markers_n,
 )
@@ -87,6 +88,12 @@ def _of_raw(camera: CameraCalibration, raw: NDArray[np.uint8]) -> Compared | Non
         return None
     image = Rectifier(camera).apply(raw)
     return compared(camera.measured, image, MarkerTracker().update(image, 0))
+
+
+def gel_names(calibration: Calibration | None) -> dict[Finger, str]:
+    """Names of the calibrated gels, of those that are known."""
+    measured = {finger: calibration.camera(finger).measured for finger in FINGERS} if calibration else {}
+    return {finger: gel_name(one.fingerprint) for finger, one in measured.items() if one and one.fingerprint}
 
 
 def untold(calibration: Calibration | None) -> str:

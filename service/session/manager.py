@@ -17,14 +17,14 @@ import onnxruntime
 
 from service import __version__
 from service.cameras.capture import Camera, frame_age_ms, now_ns
-from service.contract import FINGERS, Finger, wire
+from service.contract import Finger, wire
 from service.contract.refusals import reason
 from service.contract.replies import beat, descended_n
 from service.decision.models import ModelSet
 from service.decision.work import Work
 from service.observability.charts import Charts
 from service.observability.hub import Hub
-from service.perception.markers.fingerprint import gel_name
+from service.perception.identity import gel_names
 from service.perception.rectification import Calibration
 from service.recordings.listing import Summary
 from service.recordings.retention import largest_bytes, make_room, problem_of
@@ -80,8 +80,7 @@ class InsertionManager:
         """Read the calibration file once: it may change or disappear later."""
         self._calibration_text = self.settings.calibration.read_text() if self.settings.calibration else ""
         self.charts = Charts(self.settings.recordings / CHARTS)
-        measured = {f: self.calibration.camera(f).measured for f in FINGERS} if self.calibration else {}
-        self._gels = {f: gel_name(one.fingerprint) for f, one in measured.items() if one and one.fingerprint}
+        self._gels = gel_names(self.calibration)
         make_room(self.settings.recordings, self.settings.recordings_max_bytes)  # the limit may be a lower one now
 
     @property

@@ -22,6 +22,7 @@ from service.contract import FINGERS, ContractError, Finger, FramePair, wire
 from service.decision.models import ModelSet, load_models
 from service.decision.work import Work
 from service.observability.hub import Hub
+from service.perception.identity import gel_names
 from service.perception.rectification import Calibration
 from service.recordings.listing import endings
 from service.recordings.recovery import own, recover
@@ -72,7 +73,7 @@ class Station:
         self._frames: deque[tuple[CameraFrame, FramePair | None]] = deque()
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._networks = ThreadPoolExecutor(1, "networks")  # slip detection never waits for a network
-        self.versions = Versions(settings.state / "versions", models, self.hub.publish)
+        self.versions = Versions(settings.state / "versions", models, self.hub.publish, gel_names(calibration))
         self.manager = InsertionManager(
             settings, self.versions.active, calibration, self.cameras, self.hub, self._submit, self.versions
         )

@@ -14,7 +14,7 @@ from typing import IO, Literal, Self
 
 from pydantic import Field, ValidationError
 
-from service.contract.frames import Contract, ContractError, first_error
+from service.contract.frames import Contract, ContractError, Finger, first_error
 from service.decision.models import ModelSet, load_models
 from service.versions.contest import Contest, Role
 
@@ -26,7 +26,7 @@ class Wiring(Contract):
 
     ``released``: the version in the service's models folder, the origin of all others. ``rejected``: why, by version,
     the latest last: its files stay, so that its recordings can be decided again. ``given``: the shadow that the
-    settings gave last; what a person has changed since stays changed.
+    settings gave last; what a person has changed since stays changed. ``gels``: those with which a version took over.
     """
 
     schema_version: Literal[1] = 1
@@ -36,6 +36,7 @@ class Wiring(Contract):
     contests: dict[Role, Contest] = Field(default_factory=dict)
     rejected: dict[str, str] = Field(default_factory=dict)
     given: str = ""
+    gels: dict[str, dict[Finger, str]] = Field(default_factory=dict)
     sha256: str = ""
 
     def contest(self, role: Role) -> Contest:
@@ -61,6 +62,21 @@ class Wiring(Contract):
 def version_of(models: ModelSet) -> str:
     """The name of a version, from the SHA-256 of all its files."""
     return _name(model.sha256 for model in models.models)
+
+
+def check_served(released: ModelSet) -> None:
+    """Raise ContractError where a restart would begin anew with other networks, which nothing has judged."""
+    if not _holds(released.folder, version_of(released)):
+        raise ContractError(
+            f"{released.folder} no longer holds the networks that this service was started with, and the next start"
+            " would let what is there decide: put them back, and export the new ones to another folder"
+        )
+
+
+def _holds(folder: Path, version: str) -> bool:
+    """Whether a folder has the files of a version, and no other networks."""
+    files = (path.read_bytes() for path in folder.glob("*.onnx"))
+    return _name(hashlib.sha256(content).hexdigest() for content in files) == version
 
 
 def _name(hashes: Iterable[str]) -> str:
@@ -106,7 +122,7 @@ class Store:
         """Copy a version; returns its name. Raises OSError if there is no room, ContractError if it has changed."""
         version = version_of(models)
         self._own()
-        if self._holds(version):
+        if _holds(self.home / version, version):
             return version
         fresh = self.home / f".{version}"
         for left in (fresh, self.home / version):  # a kill may have interrupted its writing or removal
@@ -121,10 +137,6 @@ class Store:
         fresh.rename(self.home / version)
         _sync(self.home)
         return version
-
-    def _holds(self, version: str) -> bool:
-        files = (path.read_bytes() for path in (self.home / version).glob("*.onnx"))
-        return _name(hashlib.sha256(content).hexdigest() for content in files) == version
 
     def wire(self, wiring: Wiring) -> None:
         """Store a wiring, safe against a power cut; versions without a reference are removed."""

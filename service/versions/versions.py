@@ -12,7 +12,8 @@ from service.contract.wire import Cause, ControllerName, DoubtReason, Finished, 
 from service.decision.models import ModelSet, load_models
 from service.versions.beside import Beside
 from service.versions.contest import ENOUGH, FAILED, Contest, Role
-from service.versions.store import WIRING, Store, Wiring, version_of
+from service.versions.gels import Gels, unlike_gels
+from service.versions.store import WIRING, Store, Wiring, check_served, version_of
 
 BLAMED: frozenset[Cause] = frozenset({"attempts", "no_decision", "not_confirmed"})
 """Causes of an end that decisions may be responsible for."""
@@ -79,12 +80,12 @@ class _Now(NamedTuple):
 class Versions:
     """Networks by role. Thread safe; nothing is written before a shadow is given.
 
-    ``publish`` receives each change as an event "version". ``problem`` states what failed at the start. Raises
-    ContractError if the active version cannot be loaded unchanged; a failing version beside it is left out.
+    ``publish`` receives each change as an event "version". ``gels``: names of those calibrated. Raises ContractError if
+    the active version cannot be loaded unchanged; a failing version beside it is left out.
     """
 
-    def __init__(self, home: Path, released: ModelSet, publish: Publish) -> None:
-        self.publish, self.problem = publish, ""
+    def __init__(self, home: Path, released: ModelSet, publish: Publish, gels: Gels | None = None) -> None:
+        self.publish, self._gels, self._problem = publish, dict(gels or {}), ""
         self._store, self._lock = Store(home), threading.Lock()
         self._now = _of_release(released)
         try:
@@ -107,7 +108,7 @@ class Versions:
             try:
                 networks[version] = networks.get(version) or self._store.load(version)
             except (ContractError, OSError) as error:
-                wiring, self.problem = wiring.without(role), f"the {role} version is left out: {error}"
+                wiring, self._problem = wiring.without(role), f"the {role} version is left out: {error}"
                 if version == wiring.given:  # so that the settings give it again
                     wiring = wiring.model_copy(update={"given": ""})
         for version in networks.keys() - self._now.networks:
@@ -121,6 +122,11 @@ class Versions:
     def active(self) -> ModelSet:
         """The networks that decide the next insertion."""
         return self._now.active
+
+    @property
+    def problem(self) -> str:
+        """What failed at the start, and what speaks against the active version with these gels."""
+        return "; ".join(filter(None, (self._problem, unlike_gels(*self._now, self._gels))))
 
     def with_hashes(self, networks: Collection[str]) -> ModelSet:
         """The version, released, active or beside, whose deciding files have these SHA-256; else the active one."""
@@ -140,18 +146,17 @@ class Versions:
         """The active version and those beside it with their evidence."""
         now = self._now
         active = Version(**now.named(now.wiring.active))
-        shadow, previous = now.rival("shadow"), now.rival("previous")
-        rejected, problem = now.wiring.rejected, self.problem
-        return State(active=active, shadow=shadow, previous=previous, rejected=rejected, problem=problem)
+        shadow, previous, rejected = now.rival("shadow"), now.rival("previous"), now.wiring.rejected
+        return State(active=active, shadow=shadow, previous=previous, rejected=rejected, problem=self.problem)
 
     # ---- manual changes ----------------------------------------------------------------------------------------------
 
     def give(self, folder: Path, *, at_start: bool = False) -> None:
         """Let a folder's networks run in shadow, replacing the present shadow.
 
-        Raises ContractError if they cannot serve, cannot be compared, already decide, or were rejected, OSError as
-        usual. A setting repeats the same request ``at_start`` each time: it is met once, so that what a person changes
-        persists, and what is refused is a `problem`, because the cell works without a shadow.
+        Raises ContractError if they cannot serve, cannot be compared, already decide or were rejected, or where the
+        served folder has changed; OSError as usual. A setting repeats the request ``at_start`` each time: it is met
+        once, so that what a person changes persists; what is refused is a `problem`: a cell works without a shadow.
         """
         try:
             self._give(folder, at_start=at_start)
@@ -160,12 +165,13 @@ class Versions:
                 raise
             log.warning("no shadow", folder=str(folder), why=str(error))
             if "shadow" not in self._now.wiring.beside:
-                self.problem = f"no shadow: {error}"
+                self._problem = f"no shadow: {error}"
 
     def _give(self, folder: Path, *, at_start: bool) -> None:
         models = load_models(folder)
         with self._lock:
             version, wiring = version_of(models), self._now.wiring
+            check_served(self._now.networks[wiring.released])
             if version in {wiring.active, *wiring.beside.values()}:
                 if not at_start and version != wiring.beside.get("shadow"):
                     raise ContractError(f"{folder} holds version {version}, which decides now, or did before")
@@ -179,11 +185,12 @@ class Versions:
             if differs := self._now.active.card.incomparable(models.card):
                 raise ContractError(f"{folder} cannot run in shadow: {differs[0]}")
             _warn(version, models)
+            self._store.keep(self._now.active)
             kept = {**self._now.networks, self._store.keep(models): self._store.load(version)}
             wiring = wiring.with_one("shadow", version, Contest())
             wiring = wiring.model_copy(update={"given": version}) if at_start else wiring
             self._change("shadow", version, f"given as {folder}", wiring, kept)
-            self.problem = ""
+            self._problem = ""
 
     def drop(self) -> None:
         """Remove the shadow; raises ContractError if there is none."""
@@ -246,7 +253,8 @@ class Versions:
         before = wiring.contest("shadow")
         contest = Contest(tolerated=before.tolerates, tolerated_of=before.tolerates_of)
         wiring = wiring.without("shadow").with_one("previous", wiring.active, contest)
-        self._change("promoted", version, why, wiring.model_copy(update={"active": version}))
+        gels = wiring.gels | {version: self._gels}
+        self._change("promoted", version, why, wiring.model_copy(update={"active": version, "gels": gels}))
 
     def _roll_back(self, why: str) -> None:
         wiring, version = self._now.wiring, self._needed("previous", "there is no version to go back to")

@@ -28,7 +28,7 @@ def test_a_calibration_that_tells_no_gel_from_another_is_named_at_the_start(
     finally:
         run.sys.setswitchinterval(switch_s)
     lines = capsys.readouterr().err
-    assert ("calibrate again" in lines) == bool(why)
+    assert ("calibrate and commission again" in lines) == bool(why)
     assert why in lines
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.observability.charts import LEARNT_N, LIMIT, OBJECTS_N, SIDES, Chart, Charts
+from service.observability.charts import CAUSES, LEARNT_N, LIMIT, OBJECTS_N, SIDES, Chart, Charts
 
 STEADY = {"light": (90.0, 2.0), "markers": (0.97, 0.01), "gel": (0.05, 0.02), "reach": (0.4, 0.08)}
 
@@ -89,6 +89,14 @@ def test_what_drifts_is_named(tmp_path: Path, shifts: dict[str, float], cause: s
     assert alarms
     assert {what for _, what in alarms} == {cause}
     assert len({name for name, _ in alarms}) == len(alarms)  # each once, not at every insertion
+
+
+def test_a_remedy_names_every_step_until_the_cell_inserts_again() -> None:
+    for cause in CAUSES:
+        renamed = "calibrate" in cause.remedy.lower()  # gels, which the client then refuses
+        assert not renamed or "commission again, in a new folder" in cause.remedy, cause
+        if cause.what == "networks that fit no longer":  # their own work proves nothing, nor do the probes of before
+            assert cause.remedy.startswith("Commission again, in a new folder, and adapt"), cause
 
 
 def test_what_is_over_ends_and_another_gel_is_learnt_anew(tmp_path: Path) -> None:
