@@ -59,7 +59,7 @@ class Metrics:
         self._changes = Counter("version_changes", "Changes of versions of the networks", ["what"], **make)
         for what in CHANGES:
             self._changes.labels(what)
-        ready = Gauge("ready", "1 if models are warm and cameras live", **make)
+        ready = Gauge("ready", "1 if models are warm, cameras live and clients answered", **make)
         for finger in station.cameras:
             age.labels(finger).set_function(partial(self._age_s, finger))
             expected.labels(finger).set(station.expected_hz)
