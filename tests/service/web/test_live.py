@@ -58,6 +58,29 @@ def test_health_ready_and_metrics_answer(live: LiveService) -> None:
     assert 'tactile_internal_errors{where="perception"} 0.0' in text
 
 
+def timed(live: LiveService) -> dict[str, float]:
+    """How many stops were timed from their frames to their messages, and their seconds."""
+    line = r"^tactile_slip_age_seconds_(count|sum) (\S+)$"
+    return {what: float(n) for what, n in re.findall(line, live.metrics(), re.MULTILINE)}
+
+
+def test_a_stop_is_timed_whether_by_slip_or_because_the_networks_have_seen_enough(live: LiveService) -> None:
+    """Of the released networks nearly every stop is the latter."""
+    before = timed(live)
+    driver = greeted(live, "timed")
+    driver.attempt(1)
+    slid = timed(live)
+    assert slid["count"] == before["count"] + 1
+    at_ns = time.monotonic_ns() - 3 * 10**9
+    enough = wire.Enough(insertion_id="timed", attempt=1, frame_seq=1, captured_ns=at_ns, pressed_mm=0.8)
+    live.station.post(lambda: live.station.active._emit([enough], at_ns))
+    assert driver.until("enough") == enough
+    pressed = wait_for(lambda: (now := timed(live))["count"] > slid["count"] and now)
+    assert pressed["count"] == slid["count"] + 1
+    assert 3.0 < pressed["sum"] - slid["sum"] < 60.0
+    driver.gives_up()
+
+
 def test_metrics_are_made_ten_times_a_second_at_most(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
     """A flood of scrapes, which need no token, must not hold up the robot's messages."""
     time.sleep(0.5)  # what was made before is old, and for who comes after so is what is made here
