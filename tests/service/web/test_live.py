@@ -9,6 +9,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from service.contract import wire
@@ -136,6 +137,23 @@ def test_a_client_that_is_turned_away_is_counted_by_why(live: LiveService) -> No
     driver.gives_up()
     changed = {code: n - before[code] for code, n in refused_n(live).items() if n != before[code]}
     assert changed == {"busy": 1, "protocol_version": 1, "forbidden": 1}
+
+
+def test_a_client_that_could_be_no_robot_is_turned_away_and_not_counted(live: LiveService) -> None:
+    """Two of them in ten minutes would page to stop packing; behind a wrong token, though, a robot may be."""
+    before, path = refused_n(live), live.url("/v1/insertion", "ws")
+    hello = {"type": "hello", "insertion_id": "watcher", "role": "watch"}  # and not which client it is
+    for protocol, code in ((1, "protocol_version"), (wire.PROTOCOL, "bad_message")):
+        with connect(path) as watcher:
+            watcher.send(json.dumps(hello | {"protocol": protocol}))
+            assert wire.parse_service(watcher.recv(20)).code == code
+    for token in (live.token, "wrong"):
+        with pytest.raises(InvalidStatus, match="403"), connect(f"{path}?token={token}", origin="http://elsewhere"):
+            pass
+    assert refused_n(live) == before
+    with pytest.raises(InvalidStatus, match="403"), connect(f"{path}?token=wrong"):
+        pass
+    assert refused_n(live) == before | {"forbidden": before["forbidden"] + 1}
 
 
 def test_garbage_is_answered_by_a_fault_and_the_insertion_goes_on(live: LiveService) -> None:
