@@ -164,6 +164,14 @@ class Settings(BaseSettings):
                 raise ValueError(f"{host!r} is no host name; expected cell-pc.local, *.example.com or 192.168.1.20")
         return hosts
 
+    @field_validator("allowed_origins")
+    @classmethod
+    def _as_browsers_write_them(cls, origins: tuple[str, ...]) -> tuple[str, ...]:
+        for origin in origins:
+            if not re.fullmatch(r"[a-z][a-z0-9+.-]*://([a-z0-9_.-]+|\[[0-9a-f:.]+\])(:\d+)?", origin, re.IGNORECASE):
+                raise ValueError(f"{origin!r} is no origin; expected http://HOST:PORT or https://HOST, no more")
+        return tuple(re.sub(r"^(http://.+):80$|^(https://.+):443$", r"\1\2", origin.lower()) for origin in origins)
+
     @model_validator(mode="after")
     def _safe(self) -> Self:
         if not self.is_loopback and self.token_drive is None:

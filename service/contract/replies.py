@@ -1,7 +1,7 @@
 """Answers that need no session: clocks, heartbeats, and to a client of another protocol; and how an insertion ended."""
 
 from collections.abc import Sized
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ValidationError
 
@@ -23,17 +23,18 @@ MEANT: dict[str, Ending] = {"operator": "aborted", "probed": "probed", "afresh":
 
 
 class Greeting(BaseModel):
-    """What a `hello` of any protocol holds; its other fields need not be ours."""
+    """What a `hello` of any protocol holds; its other fields need not be ours, nor its role one of ours."""
 
     type: Literal["hello"]
     insertion_id: InsertionId
     protocol: int
+    role: Any = "drive"
 
 
-def other_protocol(text: str) -> Fault | None:
-    """Why a client cannot be served whose first message is a `hello` of another protocol; None for anything else."""
+def greeting_of(text: str) -> Greeting | None:
+    """A client's first message as a `hello` of any protocol; None for anything else."""
     try:
-        return unspoken(Greeting.model_validate_json(text[:MAX_TEXT_BYTES]))
+        return Greeting.model_validate_json(text[:MAX_TEXT_BYTES])
     except ValidationError:
         return None
 

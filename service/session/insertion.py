@@ -234,6 +234,8 @@ class Insertion:
             if isinstance(reply, wire.ServiceHeartbeat):
                 continue
             sent.append(reply)
+            if isinstance(reply, wire.Slip | wire.Enough):
+                self._later.append(partial(self.publish, "stop_age_s", (now_ns() - reply.captured_ns) * 1e-9))
             if not isinstance(reply, wire.Watching):  # one per pair of frames: watchers see the frames themselves
                 self._sent = True
                 self._later.append(partial(self.publish, "message", reply))

@@ -37,6 +37,7 @@ BACKLOG_FRAMES = 8  # about 4 frames of each finger; older ones are dropped
 RECENT_N = 16  # frames per finger whose JPEG is available when they form a pair
 PERIOD_NS = 33_000_000  # of a camera with an unknown rate
 TICK_S = 0.05
+STANDSTILL_S = 5.0  # no call may take as long: a driving client hears nothing meanwhile, and holds after 0.75 s
 
 
 @dataclass(slots=True)
@@ -77,7 +78,7 @@ class Station:
         self.manager = InsertionManager(
             settings, self.versions.active, calibration, self.cameras, self.hub, self._submit, self.versions
         )
-        self._ticked_ns = 0
+        self._ticked_ns = now_ns()
         self._thread = threading.Thread(target=self._run, name="perception", daemon=True)
 
     # ---- life ------------------------------------------------------------------------------------------------------
@@ -137,8 +138,14 @@ class Station:
 
     @property
     def ready(self) -> bool:
-        """Models warm and both cameras live."""
-        return all(camera.state == "live" for camera in self.cameras.values())
+        """Models warm, both cameras live, and the perception thread at work."""
+        return not self.standstill and all(camera.state == "live" for camera in self.cameras.values())
+
+    @property
+    def standstill(self) -> str:
+        """For how long the perception thread has done nothing, as while a disk that hangs opens a recording; or ""."""
+        silent_s = (now_ns() - self._ticked_ns) * 1e-9
+        return f"no frame is judged and no client answered for {silent_s:.0f} s" if silent_s > STANDSTILL_S else ""
 
     # ---- inbox -----------------------------------------------------------------------------------------------------
 

@@ -66,7 +66,7 @@ class Access:
         if origin is None:
             embedded = headers.get("sec-fetch-site") == CROSS_SITE and headers.get("sec-fetch-mode") != TOP_LEVEL
             return not embedded
-        return origin.partition("://")[2] == headers.get("host") or origin in self._origins
+        return origin.partition("://")[2] == headers.get("host") or origin.lower() in self._origins
 
     async def admit(self, socket: WebSocket, needed: Role) -> bool:
         """Close a WebSocket without access; True if it has access."""

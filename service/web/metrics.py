@@ -39,7 +39,7 @@ class Metrics:
         self._refused = Counter("clients_refused", "Clients that could open no insertion, by why", ["code"], **make)
         Gauge("start_time_seconds", "When the service started, Unix time", **make).set(time.time())
         self._faults = Counter("camera_faults", "Camera faults", ["finger", "code"], **make)
-        self._slip_age = Histogram("slip_age_seconds", "Capture to stop message", buckets=_STAGE_BUCKETS, **make)
+        self._slip_age = Histogram("slip_age_seconds", "Capture to slip or enough", buckets=_STAGE_BUCKETS, **make)
         self._result_age = Histogram("result_age_seconds", "Capture to slip judgement", buckets=_STAGE_BUCKETS, **make)
         age = Gauge("frame_age_seconds", "Age of the newest frame", ["finger"], **make)
         expected = Gauge("frames_expected_hz", "Frames a second of the setting, else of the sensor", ["finger"], **make)
@@ -59,7 +59,7 @@ class Metrics:
         self._changes = Counter("version_changes", "Changes of versions of the networks", ["what"], **make)
         for what in CHANGES:
             self._changes.labels(what)
-        ready = Gauge("ready", "1 if models are warm and cameras live", **make)
+        ready = Gauge("ready", "1 if models are warm, cameras live and clients answered", **make)
         for finger in station.cameras:
             age.labels(finger).set_function(partial(self._age_s, finger))
             expected.labels(finger).set(station.expected_hz)
@@ -130,8 +130,6 @@ class Metrics:
             case wire.Correction():
                 for stage, cost_ms in content.latency_ms.items():
                     self._stages.labels(stage).observe(cost_ms / 1e3)
-            case wire.Slip():
-                self._slip_age.observe(content.age_ms / 1e3)
             case wire.NoDecision():
                 self._refusals.labels(content.reason).inc()
 
@@ -142,6 +140,8 @@ class Metrics:
             self._finished.labels(content.outcome, content.cause or NO_CAUSE).inc()
         elif kind == "turned_away" and content in TURNED_AWAY:
             self._refused.labels(content).inc()
+        elif kind == "stop_age_s":
+            self._slip_age.observe(content)
         elif kind == "version":
             self._changes.labels(content["what"]).inc()
         elif kind == "drift":

@@ -1,3 +1,4 @@
+import re
 import socket
 from pathlib import Path
 
@@ -59,6 +60,25 @@ def test_several_names_are_set_by_a_variable_as_on_the_command_line(
     assert settings.allowed_hosts == ("cell-pc", "[2001:db8::1]")
     monkeypatch.delenv("TACTILE_ALLOWED_HOSTS")
     assert read_settings([*CAMERAS, "--allowed-hosts", "cell-pc,[2001:db8::1]"]).hosts == settings.hosts
+
+
+@pytest.mark.parametrize(
+    "given", ["https://hmi.example/", "hmi.example", "*", "null", "http://x y", "https://a@hmi.example", "http://hmi:"]
+)
+def test_an_origin_that_no_browser_sends_is_refused_with_the_form_of_one(
+    given: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TACTILE_ALLOWED_ORIGINS", f"https://good.example,{given}")
+    form = "expected http://HOST:PORT or https://HOST, no more"
+    with pytest.raises(SettingsError, match=re.escape(f"TACTILE_ALLOWED_ORIGINS: {given!r} is no origin; {form}")):
+        read_settings(CAMERAS)
+
+
+def test_origins_are_compared_as_browsers_write_them() -> None:
+    """In small letters, and without the port that goes with the scheme."""
+    given = "HTTPS://HMI.Example:443,http://hmi:80,https://hmi:80,http://[2001:DB8::1]:8080"
+    allowed = read_settings([*CAMERAS, "--allowed-origins", given]).allowed_origins
+    assert allowed == ("https://hmi.example", "http://hmi", "https://hmi:80", "http://[2001:db8::1]:8080")
 
 
 def test_a_variable_that_is_left_empty_names_no_file(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 ANSWER_S = 2.0  # for which a state waits; a page without one for 5 s has no connection
 SILENT_S = 10.0
+SILENT = "the disk of the recordings has not answered"
 _disk = ThreadPoolExecutor(1, "disk")
 
 
@@ -26,5 +27,5 @@ class Disk:
             self._answer = asked[0].result(max(0.0, ANSWER_S - waited_s))
         except TimeoutError:
             if waited_s > SILENT_S:
-                self._answer = f"the disk of the recordings has not answered for {SILENT_S:g} s"
+                self._answer = f"{SILENT} for {SILENT_S:g} s"
         return self._answer

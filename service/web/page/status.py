@@ -13,7 +13,7 @@ from service.contract.words.causes import CAUSES
 from service.observability.hub import Hub
 from service.session.station import Station
 from service.web.page.alarms import FILE, Alarms
-from service.web.page.disk import Disk
+from service.web.page.disk import SILENT, Disk
 from service.web.page.past import Last, newest
 from service.web.page.running import ANSWERED, Running
 from service.web.page.sentences import CHARTS, PHASES, changed, ended, event, versions
@@ -22,6 +22,9 @@ EVENTS_N = 30
 AFRESH_S = 90.0  # the trip to the fixture and back takes some 16 s, 300 mm away
 SHOWN_ALARMS_N = 20
 RECORDING_REMEDY = "The cell goes on. Make room on that disk, or see that it can be written."
+SILENT_REMEDY = "No insertion begins until it answers: check that disk, its server and the network between."
+STANDSTILL = "The service stands still"
+STANDSTILL_REMEDY = "If it does so for a minute, restart it and report its log."
 CAMERA_REMEDY = "Check cable and power of that finger. It comes back by itself."
 
 
@@ -40,7 +43,7 @@ class Status:
         self._put_back_s = time.monotonic() - max(0.0, gone_s)  # the clock may have been set back since
         self._overdue = False
         self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_N)
-        self._unrecorded = False
+        self._unrecorded = ""  # the remedy of what keeps insertions from being recorded
         self._recorded: str | None = None  # the last insertion that has its place in the history
         self.changes_n = 0
         self._note_interrupted()
@@ -154,11 +157,12 @@ class Status:
         self._alarms.sound("service", "warning", "Fault of the service", detail=str(detail), remedy="Read its log.")
 
     def _on_unrecorded(self, problem: str) -> None:
-        """Raise an alarm when insertions begin not to be recorded, and none as long as that goes on."""
-        if problem and not self._unrecorded:
+        """Raise an alarm when insertions begin not to be recorded, and none as long as its remedy stays the same."""
+        remedy = _remedy(problem)
+        if remedy not in {"", self._unrecorded}:
             title = "Insertions are not recorded"
-            self._alarms.sound("recording", "warning", title, detail=problem, remedy=RECORDING_REMEDY)
-        self._unrecorded = bool(problem)
+            self._alarms.sound("recording", "warning", title, detail=problem, remedy=remedy)
+        self._unrecorded = remedy
 
     def _on_drift(self, drift: dict[str, str]) -> None:
         title = f"The cell drifts: likely {drift['cause']}"
@@ -232,6 +236,7 @@ class Status:
         bad = [finger for finger in FINGERS if health["cameras"][finger]["state"] != "live"]
         stop = next((alarm for alarm in self._alarms.open if alarm.level == "stop"), None)
         unseen = f"No picture from the {' and the '.join(bad)} camera" if bad else ""
+        still = STANDSTILL if health["standstill"] else ""
         if self._running is not None:
             running = self._running
             counted = f"Attempt {running.attempt} of {running.most_n}: " if running.attempt else ""
@@ -240,13 +245,15 @@ class Status:
             words = PHASES.get(running.phase, running.phase)
             text = words[:1].lower() + words[1:] if counted else words  # a client may name no phase
             alone = "" if health["driver"] else "No connection to the robot client"
-            level = "warning" if running.phase in ANSWERED or bad or alone else "busy"
-            detail = ". ".join(part for part in (alone, unseen, running.problem) if part)
+            level = "warning" if running.phase in ANSWERED or bad or alone or still else "busy"
+            detail = ". ".join(part for part in (still, alone, unseen, running.problem) if part)
             return {"level": level, "words": counted + text, "detail": detail}
         if stop is not None:
             return {"level": "stop", "words": stop.title, "detail": f"{stop.remedy}\n{stop.detail}".strip()}
-        if bad:
-            return {"level": "warning", "words": unseen, "detail": CAMERA_REMEDY}
+        if still or bad:
+            remedy = SILENT_REMEDY if self._unrecorded == SILENT_REMEDY else STANDSTILL_REMEDY
+            detail = f"{remedy}\n{health['standstill']}" if still else CAMERA_REMEDY
+            return {"level": "warning", "words": still or unseen, "detail": detail}
         if self._regrasps and not self._overdue and self._last is not None:
             return {"level": "busy", "words": self._last.words, "detail": CAUSES["afresh"].remedy}
         if self._last is not None and self._last.at_s is not None and self._last.cause is None:
@@ -267,6 +274,7 @@ class Status:
         active = station.active
         return {
             "ready": station.ready,
+            "standstill": station.standstill,
             "cameras": {f: station.cameras[f].entry.model_dump() for f in FINGERS},
             "driver": active.session.insertion_id if active and active.send else None,
             "recording": self._disk.problem(),
@@ -275,3 +283,10 @@ class Status:
             "versions": versions(station.versions.state()),
             "versions_problem": station.versions.problem,
         }
+
+
+def _remedy(problem: str) -> str:
+    """What to do about insertions that are not recorded; "" if they are."""
+    if problem.startswith(SILENT):
+        return SILENT_REMEDY
+    return RECORDING_REMEDY if problem else ""

@@ -19,10 +19,11 @@ class Readiness(Contract):
     cameras: dict[Finger, str]
     faults: dict[Finger, str]
     recording: str
+    perception: str
 
 
 def router(station: Station, metrics: Metrics) -> APIRouter:
-    """Routes ``/healthz`` (the loop runs), ``/readyz`` (cameras live, recordings kept), ``/metrics`` (Prometheus)."""
+    """Routes ``/healthz`` (the loop runs), ``/readyz`` (insertions can be driven), ``/metrics`` (Prometheus)."""
     routes, disk = APIRouter(tags=["health"]), Disk(lambda: station.manager.recording_problem)
 
     @routes.get("/healthz")
@@ -38,8 +39,10 @@ def router(station: Station, metrics: Metrics) -> APIRouter:
         cameras = {finger: camera.state for finger, camera in station.cameras.items()}
         faults = {f: camera.last_fault for f, camera in station.cameras.items() if camera.state != "live"}
         problem = await asyncio.to_thread(disk.problem)
+        standstill = station.standstill
         ready = station.ready and not problem
         content = {"ready": ready, "cameras": cameras, "faults": faults, "recording": problem or "ok"}
+        content["perception"] = standstill or "ok"
         return JSONResponse(content, 200 if ready else 503)
 
     @routes.get("/metrics", response_class=PlainTextResponse)

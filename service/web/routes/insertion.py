@@ -9,7 +9,7 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from service.cameras.capture import now_ns
 from service.contract import ContractError, wire
-from service.contract.replies import beat, clock, other_protocol
+from service.contract.replies import beat, clock, greeting_of, unspoken
 from service.contract.wire import ServiceMessage
 from service.observability.hub import Hub
 from service.session.station import Station
@@ -36,7 +36,8 @@ log = structlog.get_logger()
 class Connection:
     """One client's WebSocket: messages from any thread go out in order; a client that does not read is cut off.
 
-    ``hub`` gets the code of a fatal fault as ``turned_away``: a client that is refused opens no insertion to count.
+    ``hub`` gets the code of a fatal fault as ``turned_away``: a client that is refused opens no insertion to count. One
+    that only ``watches`` would have opened none.
     """
 
     def __init__(self, socket: WebSocket, hub: Hub) -> None:
@@ -44,11 +45,11 @@ class Connection:
         self._loop = asyncio.get_running_loop()
         self._waiting: asyncio.Queue[tuple[str, Ending | None]] = asyncio.Queue(MAX_WAITING)
         self._overrun = asyncio.Event()
-        self.insertion_id = "none"
+        self.insertion_id, self.watches = "none", False
 
     def send(self, message: ServiceMessage) -> None:
         """Queue a message; may be called from any thread."""
-        if isinstance(message, wire.Fault) and message.fatal:
+        if isinstance(message, wire.Fault) and message.fatal and not self.watches:
             self._hub.publish("turned_away", message.code)
         text, ending = message.model_dump_json(), ending_of(message)
         with contextlib.suppress(RuntimeError):  # the loop is gone: so is the client
@@ -98,7 +99,8 @@ def router(station: Station, access: Access) -> APIRouter:
     @routes.websocket("/v1/insertion")
     async def insertion(socket: WebSocket) -> None:
         if not await access.admit(socket, "watch"):
-            station.hub.publish("turned_away", "forbidden")
+            if access.same_origin(socket):  # another page in a browser is no robot's client; who watches may count
+                station.hub.publish("turned_away", "forbidden")
             return
         await socket.accept()
         if access.allows(socket, "drive"):
@@ -126,9 +128,11 @@ async def _serve(socket: WebSocket, connection: Connection, station: Station, ac
     """Read messages until the client leaves; anything else is answered by a fault."""
     try:
         text = await asyncio.wait_for(_text(socket), HELLO_TIMEOUT_S)
-        if refused := other_protocol(text):
-            connection.send(refused)
-            return await until_gone(socket)
+        if greeting := greeting_of(text):
+            connection.watches = greeting.role == "watch"
+            if refused := unspoken(greeting):
+                connection.send(refused)
+                return await until_gone(socket)
         hello = wire.parse_client(text)
         if not isinstance(hello, wire.ClientHello):
             raise ContractError(f"first message is {hello.type}, expected hello")

@@ -205,7 +205,7 @@ def test_a_dropped_frame_whose_partner_comes_after_the_next_one_is_recorded_too(
     assert set(called) <= set(recording.frames("left"))
 
 
-def test_a_slip_is_as_old_as_its_frame_is_when_it_is_sent_and_not_when_it_was_found(witness: Witness) -> None:
+def test_a_stop_is_as_old_as_its_frame_is_when_it_is_sent_and_not_when_it_was_found(witness: Witness) -> None:
     frame_ns, sent_ns = 5_000_000_000, 5_012_500_000
     slip = wire.Slip(
         insertion_id="first",
@@ -217,10 +217,16 @@ def test_a_slip_is_as_old_as_its_frame_is_when_it_is_sent_and_not_when_it_was_fo
         score=8.0,
         reason="",
     )
+    enough = wire.Enough(insertion_id="first", attempt=1, frame_seq=1, captured_ns=frame_ns, pressed_mm=0.8)
     heard: list[Any] = []
+    published: list[tuple[str, Any]] = []
     witness.insertion.send, witness.now_ns = heard.append, sent_ns
-    witness.insertion._emit([slip, wire.OpenLearnt(insertion_id="first")], sent_ns)
-    assert [heard[0].age_ms, heard[1]] == [12.5, wire.OpenLearnt(insertion_id="first")]
+    witness.insertion.publish = lambda *event: published.append(event)
+    witness.insertion._emit([slip, enough, wire.OpenLearnt(insertion_id="first")], sent_ns)
+    assert [heard[0].age_ms, *heard[1:]] == [12.5, enough, wire.OpenLearnt(insertion_id="first")]
+    witness.now_ns += 100_000_000
+    witness.insertion._settle()
+    assert [content for kind, content in published if kind == "stop_age_s"] == [0.0125, 0.0125]
 
 
 def test_an_insertion_without_a_client_or_a_recorder_goes_on_all_the_same(witness: Witness) -> None:

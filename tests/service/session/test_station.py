@@ -30,6 +30,7 @@ def test_a_client_that_talks_all_the_time_does_not_keep_deadlines_from_being_loo
 ) -> None:
     now_s, ticked_s = 100.0, []
     monkeypatch.setattr("service.session.station.now_ns", lambda: int(now_s * 1e9))
+    idle._ticked_ns = 0
     monkeypatch.setattr(idle, "_tick", lambda: ticked_s.append(now_s))
 
     def heartbeat() -> None:
@@ -74,6 +75,22 @@ def test_frames_are_as_old_as_those_of_the_finger_that_is_further_behind(
 def test_a_station_is_ready_with_both_cameras(idle: Station, states: tuple[str, str], ready: bool) -> None:
     idle.cameras = {str(number): SimpleNamespace(state=state) for number, state in enumerate(states)}  # type: ignore[misc]
     assert idle.ready == ready
+
+
+def test_a_station_whose_thread_does_nothing_for_5_s_is_not_ready_and_says_so(
+    idle: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr("service.session.station.now_ns", lambda: round(now_s * 1e9))
+    idle._ticked_ns, live = 0, SimpleNamespace(state="live", check_stall=lambda _: None)
+    idle.cameras = {"left": live, "right": live}  # type: ignore[dict-item]
+    for ready in (True, False, True):
+        idle.post(lambda: None)
+        works_off(idle)
+        assert (idle.ready, idle.standstill) == (True, "")
+        now_s += 4.9 if ready else 12.0
+        assert idle.ready == ready
+        assert idle.standstill == ("" if ready else "no frame is judged and no client answered for 12 s")
 
 
 def test_a_camera_of_another_size_is_not_live_and_is_named_with_the_size_that_is_expected(

@@ -127,13 +127,14 @@ def test_a_body_too_large_is_refused(live: LiveService, monkeypatch: pytest.Monk
 
 
 def test_a_foreign_page_gets_no_websocket_and_an_allowed_one_does(tmp_path: Path, models_folder: Path) -> None:
-    with live_service(tmp_path, models_folder, allowed_origins=("https://cell.example",)) as guarded:
+    with live_service(tmp_path, models_folder, allowed_origins=("https://Cell.example",)) as guarded:
         url = guarded.url("/v1/live", "ws")
         for origin in ("https://evil.example", "null"):
             with pytest.raises(InvalidStatus, match="403"), connect(url, origin=origin):
                 pass
-        with connect(url, origin="https://cell.example") as link:
-            assert link.recv(20)
+        for origin in ("https://cell.example", "https://CELL.example"):
+            with connect(url, origin=origin) as link:
+                assert link.recv(20)
         with connect(url, origin=f"http://127.0.0.1:{guarded.port}") as link:
             assert link.recv(20)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from service.contract import wire
@@ -56,6 +57,29 @@ def test_health_ready_and_metrics_answer(live: LiveService) -> None:
     assert 'tactile_frames_total{finger="left"}' in text
     assert "tactile_ready 1.0" in text
     assert 'tactile_internal_errors{where="perception"} 0.0' in text
+
+
+def timed(live: LiveService) -> dict[str, float]:
+    """How many stops were timed from their frames to their messages, and their seconds."""
+    line = r"^tactile_slip_age_seconds_(count|sum) (\S+)$"
+    return {what: float(n) for what, n in re.findall(line, live.metrics(), re.MULTILINE)}
+
+
+def test_a_stop_is_timed_whether_by_slip_or_because_the_networks_have_seen_enough(live: LiveService) -> None:
+    """Of the released networks nearly every stop is the latter."""
+    before = timed(live)
+    driver = greeted(live, "timed")
+    driver.attempt(1)
+    slid = timed(live)
+    assert slid["count"] == before["count"] + 1
+    at_ns = time.monotonic_ns() - 3 * 10**9
+    enough = wire.Enough(insertion_id="timed", attempt=1, frame_seq=1, captured_ns=at_ns, pressed_mm=0.8)
+    live.station.post(lambda: live.station.active._emit([enough], at_ns))
+    assert driver.until("enough") == enough
+    pressed = wait_for(lambda: (now := timed(live))["count"] > slid["count"] and now)
+    assert pressed["count"] == slid["count"] + 1
+    assert 3.0 < pressed["sum"] - slid["sum"] < 60.0
+    driver.gives_up()
 
 
 def test_metrics_are_made_ten_times_a_second_at_most(live: LiveService, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,6 +137,23 @@ def test_a_client_that_is_turned_away_is_counted_by_why(live: LiveService) -> No
     driver.gives_up()
     changed = {code: n - before[code] for code, n in refused_n(live).items() if n != before[code]}
     assert changed == {"busy": 1, "protocol_version": 1, "forbidden": 1}
+
+
+def test_a_client_that_could_be_no_robot_is_turned_away_and_not_counted(live: LiveService) -> None:
+    """Two of them in ten minutes would page to stop packing; behind a wrong token, though, a robot may be."""
+    before, path = refused_n(live), live.url("/v1/insertion", "ws")
+    hello = {"type": "hello", "insertion_id": "watcher", "role": "watch"}  # and not which client it is
+    for protocol, code in ((1, "protocol_version"), (wire.PROTOCOL, "bad_message")):
+        with connect(path) as watcher:
+            watcher.send(json.dumps(hello | {"protocol": protocol}))
+            assert wire.parse_service(watcher.recv(20)).code == code
+    for token in (live.token, "wrong"):
+        with pytest.raises(InvalidStatus, match="403"), connect(f"{path}?token={token}", origin="http://elsewhere"):
+            pass
+    assert refused_n(live) == before
+    with pytest.raises(InvalidStatus, match="403"), connect(f"{path}?token=wrong"):
+        pass
+    assert refused_n(live) == before | {"forbidden": before["forbidden"] + 1}
 
 
 def test_garbage_is_answered_by_a_fault_and_the_insertion_goes_on(live: LiveService) -> None:

@@ -11,8 +11,11 @@ from typing import Any
 import httpx
 import pytest
 
-from service.web.page.status import Status
+from service.recordings.writer import Recorder
+from service.session.station import Station
+from service.web.page.status import SILENT_REMEDY, STANDSTILL, Status
 from service.web.reading import Reading
+from tests.service.client import Driver
 from tests.service.conftest import LiveService
 from tests.waiting import wait_for
 
@@ -99,6 +102,39 @@ def test_a_disk_that_does_not_answer_keeps_no_page_from_the_state(
             assert state["headline"]["words"] == "Ready for the next object"
             (alarm,) = wait_for(lambda: shown.snapshot()["alarms"])
             assert "has not answered" in alarm["detail"]
+            assert alarm["remedy"] == SILENT_REMEDY, "no room that is made there would help"
         finally:
             answers.set()
     wait_for(lambda: not shown.snapshot()["health"]["recording"])
+
+
+def test_a_recording_that_its_disk_does_not_open_is_no_readiness_and_the_page_says_so(
+    live: LiveService, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its thread answers no client meanwhile, and no other count moves: the cell would stand, and nobody be told."""
+    answers, shown = threading.Event(), Status(live.station)
+    for limit in ("web.page.disk.ANSWER_S", "web.page.disk.SILENT_S", "session.station.STANDSTILL_S"):
+        monkeypatch.setattr(f"service.{limit}", 0.5)
+    monkeypatch.setattr("service.session.manager.Recorder", lambda *given: answers.wait(60) and Recorder(*given))
+    monkeypatch.setattr("service.session.manager.problem_of", lambda _: "" if answers.wait(60) else "late")
+    driver = Driver(live, "waits")
+    try:
+        ready = wait_for(lambda: (asked := httpx.get(live.url("/readyz"), timeout=30)).status_code == 503 and asked)
+        wait_for(lambda: live.station.standstill)
+        assert httpx.get(live.url("/readyz"), timeout=30).json()["perception"].startswith("no frame is judged")
+        assert set(ready.json()["cameras"].values()) == {"live"}
+        assert "tactile_ready 0.0" in live.metrics()
+        wait_for(lambda: shown.snapshot()["headline"]["detail"].startswith(f"{SILENT_REMEDY}\nno frame is judged"))
+        headline = shown.snapshot()["headline"]
+        assert (headline["level"], headline["words"]) == ("warning", STANDSTILL)
+    finally:
+        answers.set()
+    driver.until("hello")
+    wait_for(lambda: shown.snapshot()["running"])
+    with monkeypatch.context() as again:
+        again.setattr(Station, "standstill", "no frame is judged")
+        headline = shown.snapshot()["headline"]
+        assert headline == {"level": "warning", "words": "The robot is connected", "detail": STANDSTILL}
+    driver.gives_up()
+    wait_for(lambda: httpx.get(live.url("/readyz"), timeout=30).json()["perception"] == "ok")
+    assert "tactile_ready 1.0" in live.metrics()
