@@ -5,7 +5,7 @@ import re
 GENERAL = "Read the text on the left; docs/troubleshooting.md has more."
 REMEDIES: tuple[tuple[str, str], ...] = (
     (r"another client has", "Run this again once that command has ended, or end it."),
-    (r"processor cores", "Give this PC, container or service two cores of its own."),
+    (r"processor cores", "Run client and service on a PC with two cores or more."),
     (r"load \d", "Stop what else runs on this PC; frames come late on a busy one."),
     (r"GB free", "Remove old recordings, or name another folder."),
     (r"recordings may not", "Give the folder to the user of the service."),

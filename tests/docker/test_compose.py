@@ -116,3 +116,9 @@ def test_a_real_cell_inserts_only_with_the_record_that_commissioning_left_in_a_v
     code = client.runs("robot-client", ["insert", "--live", f"--config={config}", "--x-mm=8"])
     assert (code, len(client.inserted)) == ((0, 1) if commissioned else (2, 0))
     assert commissioned or "commission --live" in capsys.readouterr().err
+
+
+def test_the_backup_on_the_page_runs_in_the_image_that_the_cell_has():
+    """After an upgrade by TAG, or where images come from a registry, a fixed name may be that of no image any more."""
+    (backup,) = [line for line in (ROOT / "docs" / "deployment.md").read_text().splitlines() if "/backup/" in line]
+    assert f" {SERVICES['robot-client']['image']} " in backup

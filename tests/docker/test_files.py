@@ -100,6 +100,13 @@ def test_a_camera_that_is_plugged_in_after_the_start_may_be_opened():
         assert "modprobe@videodev.service" in re.search(rf"^{order}=(.*)$", unit, re.MULTILINE)[1].split()
 
 
+def test_systemd_starts_a_service_again_however_it_ended_and_however_often():
+    """What refuses a start may pass: an address that is not there yet at boot, a lock that a dying process holds."""
+    unit = UNIT.read_text()
+    assert {"Restart=always", "RestartSec=5", "StartLimitIntervalSec=0"} <= set(unit.splitlines())
+    assert "RestartPreventExitStatus" not in unit
+
+
 def test_what_watches_starts_with_the_machine_and_what_moves_does_not():
     """At boot podman starts those that restart always, and no others; docker would start those unless stopped, too."""
     started = yaml.safe_load((DOCKER / "compose.yaml").read_text())["services"]

@@ -232,12 +232,9 @@ def test_what_another_device_says_has_no_remedy_of_the_service(text, words):
 
 
 def test_a_pc_with_one_core_or_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
-    allowed = os.sched_getaffinity(0)
-    try:
-        os.sched_setaffinity(0, {min(allowed)})
+    with monkeypatch.context() as small:
+        small.setattr(os, "cpu_count", lambda: 1)
         wrong = [finding.text for finding in examine_pc(tmp_path) if not finding.good]
-    finally:
-        os.sched_setaffinity(0, allowed)
     assert any(text.startswith("1 processor cores") for text in wrong)
     file = tmp_path / "file"
     file.touch()
@@ -248,6 +245,18 @@ def test_a_pc_with_one_core_or_a_folder_that_cannot_be_written_is_named(tmp_path
     (busy,) = [f.text for f in examine_pc(tmp_path) if f.text.startswith("load")]
     assert "two cores" not in remedy_of(busy)
     assert "busy" in remedy_of(busy)
+
+
+def test_a_client_with_one_core_of_a_pc_that_has_more_is_as_documented(tmp_path, monkeypatch):
+    """ROBOT_CPUSET=4 gives it that one, and the service others."""
+    monkeypatch.setattr(os, "cpu_count", lambda: 8)
+    allowed = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, {min(allowed)})
+        (cores,) = [finding for finding in examine_pc(tmp_path) if "processor cores" in finding.text]
+    finally:
+        os.sched_setaffinity(0, allowed)
+    assert cores.good, cores
 
 
 def test_a_wrong_configuration_is_a_row_like_any_other(tmp_path, capsys):
