@@ -230,8 +230,9 @@ async def _commission(
         if record.gels:  # also where no probe is left to notice another one
             running.check_gels(await probing.gels(), "before any probe")
         if left_of(record, probes_n, grips_n):
-            await probing.begin()
             running.grips_n = await probing.allowed(grips_n)
+        if left_of(record, probes_n, running.grips_n):
+            await probing.begin()
         record = await running.run(probes_n)
         if not record.named:
             probing.teach(record, path)
@@ -252,7 +253,8 @@ async def _commission(
         )
     if record.done_n >= probes_n and not why:
         show(f"{record.done_n} probes done. The service's recordings hold them; to learn from them:")
-        show(f"  python -m training adapt RECORDINGS --record {path} --from models/pressing/checkpoint.pt")
+        out = f"--out runs/adapted_{record.begun[:10]}"
+        show(f"  python -m training adapt RECORDINGS --record {path} --from models/pressing/checkpoint.pt {out}")
     kept = _kept(path)
     show(f"record: {kept or 'none, no probe was completed'}")
     result = {"named": list(record.named), "probes": record.done_n, "record": kept, "reason": why}

@@ -115,7 +115,7 @@ class ModelSet:
     @property
     def folder(self) -> Path:
         """Where they were loaded from."""
-        return self.models[0].path.parent
+        return self.models[0].path.absolute().parent
 
     @property
     def cautions(self) -> tuple[str, ...]:

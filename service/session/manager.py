@@ -91,9 +91,9 @@ class InsertionManager:
 
     @property
     def unrecorded(self) -> str:
-        """What the recording under way, else the last one, lacks, or what keeps the next from being made; or ""."""
+        """What keeps insertions from being recorded now, else what the one under way or the last one lacks; or ""."""
         recorder = active.recorder if (active := self.active) else None  # asked by other threads
-        return (_lacks(recorder, recorder.problem) if recorder else "") or self._unrecorded or self.recording_problem
+        return self.recording_problem or (_lacks(recorder, recorder.problem) if recorder else "") or self._unrecorded
 
     def _note_recorded(self, problem: str) -> None:
         """Note that an insertion was recorded whole, or the problem."""

@@ -9,7 +9,7 @@ from robot_client.session.commission.run import PER_GRASP, PRESSES, REACH
 from robot_client.session.commission.taught import CELL
 from robot_client.session.commission.wiring import SIDES
 
-CHANGED = "if tool, frame, camera mount or grip has changed, move its folder away and commission again"
+CHANGED = "if tool, frame or camera mount has changed, move its folder away and commission again"
 
 
 def steps_of(probes_n: int, path: Path, record: Record | None, grips_n: Sequence[float | None]) -> list[str]:

@@ -172,7 +172,7 @@ class Status:
     def _on_version(self, version: dict[str, str]) -> None:
         text = changed(version)
         self._events.append({"at_s": time.time(), "kind": "version", "text": text})
-        if version["what"] == "rolled_back":
+        if version["what"] == "rolled_back" and not version["why"].startswith("by hand"):
             remedy = "Nothing to do at the cell: what worked before works again. Adapt the networks anew."
             facts = {"detail": f"{text[0].upper()}{text[1:]}.", "remedy": remedy}
             self._alarms.sound("version", "warning", "The networks of before decide again", **facts)

@@ -2,6 +2,7 @@
 
 import json
 import zipfile
+import zlib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -104,6 +105,8 @@ def _probed(summary: Path) -> tuple[tuple[float, float] | None, list[Touch]]:
         x_mm, yaw_deg = float(content["approach"]["x_mm"]), float(content["approach"]["yaw_deg"])
         if not (path := summary.with_name("attempt_01.npz")).exists():
             return (x_mm, yaw_deg), []
+        if path.read_bytes()[:2] != b"PK":  # numpy takes anything else for data that may run code
+            raise zipfile.BadZipFile("its beginning is lost")
         with path.open("rb") as stream, np.load(stream) as stored:
             if "held_px" not in stored.files or json.loads(str(stored["decision"])).get("reason") == STALE:
                 return (x_mm, yaw_deg), []  # of a paused press the depths are not known; it was made again
@@ -111,7 +114,7 @@ def _probed(summary: Path) -> tuple[tuple[float, float] | None, list[Touch]]:
             conditions = dict(zip(CONDITIONS, map(float, stored["conditions"]), strict=True))
         touch = Touch(x_mm, yaw_deg, conditions["grip_n"], conditions["speed_mm_s"], steps, held)
         return (x_mm, yaw_deg), [touch]
-    except (EOFError, zipfile.BadZipFile) as error:
+    except (zipfile.BadZipFile, zlib.error) as error:
         raise ContractError(f"{path} is damaged ({error}); remove it, and the other probes are read") from error
     except (OSError, ValueError, KeyError) as error:
         raise ContractError(f"{summary.parent} is no recording of a probe: {error}") from error

@@ -126,7 +126,7 @@ def test_a_complete_record_is_not_probed_again_and_says_what_to_do_after_a_chang
     complete(tmp_path)
     began, advice = (
         moves(monkeypatch, "a"),
-        "if tool, frame, camera mount or grip has changed, move its folder away and",
+        "if tool, frame or camera mount has changed, move its folder away and",
     )
     asked = {"probes_n": 12, "seed": 0, "out": tmp_path, "one_grip": False}
     (step,) = cli.commission(REAL, live=False, **asked).result["steps"]
@@ -141,6 +141,19 @@ def test_a_complete_record_is_not_probed_again_and_says_what_to_do_after_a_chang
     (tmp_path / CELL).unlink()
     assert cli.commission(REAL, live=True, **asked).done
     assert (tmp_path / CELL).is_file(), "but what a kill has left out is written"
+
+
+def test_a_record_is_complete_with_the_grips_that_gripper_and_networks_allow(tmp_path, monkeypatch, capsys):
+    complete(tmp_path, presses=tuple(answers())[:2], probes=tuple(answers()) * 2)
+    began = moves(monkeypatch, "a")
+
+    async def allowed(_probing, grips_n):
+        return grips_n[:1]
+
+    monkeypatch.setattr(Probing, "allowed", allowed)
+    assert cli.commission(REAL, live=True, probes_n=14, seed=0, out=tmp_path, one_grip=False).done
+    assert not began
+    assert "runs/adapted_2026-01-01" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -171,6 +184,6 @@ def test_only_what_a_record_lacks_is_listed(tmp_path, but, probes_n, left):
     goes_on, regrasps, *steps, keeps = cli.commission(
         REAL, live=False, probes_n=probes_n, seed=0, out=tmp_path, one_grip=False
     ).result["steps"]
-    assert goes_on.startswith("go on with the record of 2026-01-01; if tool, frame, camera mount or grip has changed")
+    assert goes_on.startswith("go on with the record of 2026-01-01; if tool, frame or camera mount has changed")
     assert (regrasps[:8], keeps[:4]) == ("regrasp ", "keep")
     assert [step[: len(start)] for step, start in zip(steps, left, strict=True)] == left

@@ -171,6 +171,7 @@ def test_a_person_changes_versions_between_insertions_and_never_in_one(
     assert insert(cell, "next")[0] == hashes(shadow)
     assert main(["versions", "rollback", *there]) == 0
     assert insert(cell, "last")[0] == hashes(models)
+    assert not httpx.get(cell.url("/v1/status")).json()["alarms"], "who went back knows of it, and why"
     for words in (["promote"], ["rollback"], ["drop"], ["shadow", str(tmp_path / "none")]):
         assert main(["versions", *words, *there]) == 2
         assert len(capsys.readouterr().err.strip().splitlines()) == 1

@@ -42,6 +42,11 @@ def recorded(root, count, off_mm=0.0, seed=0, *, stated_right=True, work=False, 
     return root
 
 
+def lost(whole):
+    """As long as it was, and nothing of it on the disk."""
+    return bytes(len(whole))
+
+
 def zeroed(whole):
     """As long as it was, with a part that never reached the disk."""
     return whole[: len(whole) // 2] + bytes(50) + whole[len(whole) // 2 + 50 :]
@@ -113,7 +118,9 @@ def test_a_file_that_a_full_disk_lost_changes_no_label_of_another_attempt(tmp_pa
 
 
 @pytest.mark.parametrize(
-    "damage", [lambda whole: whole[:0], lambda whole: whole[:200], zeroed], ids=["empty", "cut", "zeros"]
+    "damage",
+    [lambda whole: whole[:0], lambda whole: whole[:200], zeroed, lost],
+    ids=["empty", "cut", "zeros", "only zeros"],
 )
 def test_a_file_that_a_power_cut_damaged_is_named_and_the_others_are_read_without_it(tmp_path, damage):
     rng = np.random.default_rng(0)
