@@ -1,55 +1,19 @@
-"""Files that survive a kill: temporary file, fsync, rename, fsync of the folder; with JSON, CSV and logs on top."""
+"""JSON, CSV and logs that survive a kill."""
 
 import csv
 import fcntl
 import io
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
-
-def write_durably(path: Path, data: bytes) -> None:
-    """Replace ``path`` by ``data`` so that a kill or power cut leaves either the old or the new file complete.
-
-    Raises OSError that names it, with no part of a file left, where the disk is full.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            temporary.unlink()
-        raise OSError(error.errno, error.strerror, str(path)) from error
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
-
-
-def locked(folder: Path) -> BinaryIO:
-    """The lock of a folder, until it is closed; the kernel releases it when this process ends, also by kill -9.
-
-    Raises BlockingIOError if another process holds it.
-    """
-    lock = (folder / ".lock").open("wb")
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        lock.close()
-        raise
-    return lock
+from service.contract.files import write_durably
 
 
 def write_json(path: Path, data: Any) -> None:
-    write_durably(path, (json.dumps(data, indent=1) + "\n").encode())
+    write_durably(path, json.dumps(data, indent=1) + "\n")
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -59,7 +23,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     writer.writeheader()
     for row in rows:
         writer.writerow({k: "; ".join(map(str, v)) if isinstance(v, list | tuple) else v for k, v in row.items()})
-    write_durably(path, text.getvalue().encode())
+    write_durably(path, text.getvalue())
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:

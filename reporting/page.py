@@ -6,8 +6,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from reporting.files import write_durably, write_json
+from reporting.files import write_json
 from reporting.table import Table
+from service.contract.files import write_durably
 
 COLUMNS = 100
 TIED = re.compile(r" (?=%|(?:[0-9]+[.)]|[-+*>]|#+)(?: |$))")  # at the head of a line they would begin a list or heading
@@ -58,5 +59,5 @@ def publish(folder: Path, name: str, text: str, data: Any = None) -> str:
     folder.mkdir(parents=True, exist_ok=True)
     if data is not None:
         write_json(folder / f"{name}.json", data)
-    write_durably(folder / f"{name}.md", text.encode())
+    write_durably(folder / f"{name}.md", text)
     return text

@@ -2,13 +2,12 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 from pydantic import Field, JsonValue, ValidationError
 
-from reporting.files import locked, write_durably
+from service.contract.files import locked, write_durably
 from service.contract.frames import Contract, ContractError
 from service.contract.refusals import describe
 from service.contract.toml import read_toml
@@ -132,17 +131,12 @@ class RecipeConfig(AnyRun):
         return stated | {"imagenet": self.imagenet is not None}
 
 
-@contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
-    """Keep other runs out of ``folder``; raise ContractError if one is in it."""
+def alone_in(folder: Path) -> BinaryIO:
+    """Keep other runs out of ``folder`` until the result is closed; raise ContractError if one is in it."""
     try:
-        lock = locked(folder)
+        return locked(folder)
     except BlockingIOError as error:
         raise ContractError(f"{folder}: another process is training there; expected another name") from error
-    try:
-        yield
-    finally:
-        lock.close()
 
 
 def refuse_another(folder: Path, config: Contract) -> None:
@@ -190,5 +184,5 @@ def pin(folder: Path, config: Contract, grounds: str) -> None:
     """Claim ``folder`` for the run with this config and these grounds, which are stored next to its weights."""
     refuse_another(folder, config)
     refuse_other_grounds(folder, grounds)
-    write_durably(folder / "config.json", config.model_dump_json(indent=1).encode())
-    write_durably(folder / "learnt_from.txt", grounds.encode())
+    write_durably(folder / "config.json", config.model_dump_json(indent=1))
+    write_durably(folder / "learnt_from.txt", grounds)

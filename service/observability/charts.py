@@ -7,13 +7,14 @@ three charts of a hundred alarm within 1,000 insertions; a shift by one standard
 import bisect
 import contextlib
 import json
-import os
 import threading
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import NormalDist
 from typing import NamedTuple
+
+from service.contract.files import write_durably
 
 LEARNT_N = 100  # insertions of an object
 OBJECTS_N = 32  # with stored first insertions; values of later objects are not compared
@@ -116,12 +117,7 @@ class Charts:
         """Store the charts in their file. Raises OSError if that cannot be done; they continue in memory."""
         with self._lock:
             whole = {"within": self._within, "charts": {name: asdict(chart) for name, chart in self._charts.items()}}
-            fresh = self._path.with_suffix(".partial")
-            with fresh.open("w") as file:
-                file.write(json.dumps(whole))
-                file.flush()
-                os.fsync(file.fileno())  # else a power cut may leave an empty one
-            fresh.replace(self._path)
+            write_durably(self._path, json.dumps(whole))
 
     def _crosses(self, name: str, value: float, of: str) -> bool:
         chart = self._charts[name]

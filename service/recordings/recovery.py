@@ -19,30 +19,27 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from service.contract import ContractError
-from service.recordings.writer import FINAL, PART, RECOVERING, RECOVERY, TASK, UNREADABLE, write_whole
+from service.contract.files import locked, write_durably
+from service.recordings.writer import FINAL, PART, RECOVERING, RECOVERY, TASK, UNREADABLE
 
 LOCK = "lock"
 log = structlog.get_logger()
 
 
-def own(root: Path) -> IO[str] | None:
+def own(root: Path) -> IO[bytes] | None:
     """Make ``root`` and keep it for one service until the result is closed; None where nothing can be written.
 
     Two services would overwrite each other's alarms and charts, remove each other's recordings, and take the object in
     the other's hand for their own. Raises ContractError if another service has it.
     """
     root.mkdir(parents=True, exist_ok=True)
-    with contextlib.ExitStack() as unlocked:
-        try:
-            stream = unlocked.enter_context((root / LOCK).open("w"))
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            why = f"another service keeps its recordings in {root}; give each its own --recordings"
-            raise ContractError(why) from None
-        except OSError:  # no insertion can be recorded there either, and /readyz says so
-            return None
-        unlocked.pop_all()
-        return stream
+    try:
+        return locked(root, LOCK)
+    except BlockingIOError:
+        why = f"another service keeps its recordings in {root}; give each its own --recordings"
+        raise ContractError(why) from None
+    except OSError:  # no insertion can be recorded there either, and /readyz says so
+        return None
 
 
 def recover(root: Path) -> list[Path]:
@@ -94,7 +91,7 @@ def _close(part: Path, stream: IO[bytes]) -> bool:
         return False
     summary = part.with_name("summary.json")
     if not summary.is_file():
-        write_whole(summary, json.dumps(facts, indent=1))
+        write_durably(summary, json.dumps(facts, indent=1))
     whole.rename(part.with_name(FINAL))
     part.unlink()
     log.warning("recording recovered", path=str(part.with_name(FINAL)), **facts)

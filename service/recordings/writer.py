@@ -50,6 +50,7 @@ from numpy.typing import NDArray
 
 from service.cameras.capture import CameraFrame
 from service.contract import TactileFrame, wire
+from service.contract.files import replacing, write_durably
 from service.contract.refusals import reason
 from service.perception.observation import Observation
 from service.recordings.messages import image_message, markers_message
@@ -267,19 +268,18 @@ class Recorder:
         facts |= {"problem": self.problem} if self.problem else {}
         if not self._stuck:
             self._mcap.metadata(OUTCOME, {k: v if isinstance(v, str) else json.dumps(v) for k, v in facts.items()})
-        write_whole(self.folder / "summary.json", json.dumps(facts, indent=1))
+        write_durably(self.folder / "summary.json", json.dumps(facts, indent=1))
 
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """An ``.npz`` with light compression (numpy's own level takes ten times as long for a few per cent)."""
-    partial = path.with_suffix(".partial")
-    with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+    """An ``.npz`` with light compression (numpy's own level takes ten times as long for a few per cent).
+
+    A power cut costs the attempt under way, and none before it.
+    """
+    with replacing(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name, values in arrays.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, np.asanyarray(values), allow_pickle=False)
-    with partial.open("rb") as file:
-        os.fsync(file.fileno())  # a power cut costs the attempt under way, and none before it
-    partial.replace(path)
 
 
 def put_on_disk(folder: Path) -> None:
@@ -287,13 +287,3 @@ def put_on_disk(folder: Path) -> None:
     for path in filter(Path.is_file, folder.iterdir()):
         with path.open("rb") as file:
             os.fsync(file.fileno())
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a small file atomically: a power cut leaves the old or the new one, not an empty one."""
-    partial = path.with_suffix(".partial")
-    with partial.open("w") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    partial.replace(path)

@@ -70,7 +70,7 @@ class Station:
             for finger in FINGERS
         }
         self.viewers_n = 0
-        self.owned: IO[str] | None = None  # the lock of the recordings
+        self.owned: IO[bytes] | None = None  # the lock of the recordings
         self._frames: deque[tuple[CameraFrame, FramePair | None]] = deque()
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._networks = ThreadPoolExecutor(1, "networks")  # slip detection never waits for a network

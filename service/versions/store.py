@@ -4,9 +4,7 @@
 the disk, so that a kill or a power cut leaves either the old or the new wiring.
 """
 
-import fcntl
 import hashlib
-import os
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
@@ -14,6 +12,7 @@ from typing import IO, Literal, Self
 
 from pydantic import Field, ValidationError
 
+from service.contract.files import locked, sync_folder, write_durably
 from service.contract.frames import Contract, ContractError, Finger, first_error
 from service.decision.models import ModelSet, load_models
 from service.versions.contest import Contest, Role
@@ -88,7 +87,7 @@ class Store:
 
     def __init__(self, home: Path) -> None:
         self.home = home
-        self._lock: IO[str] | None = None
+        self._lock: IO[bytes] | None = None
 
     def open(self) -> Wiring | None:
         """The wiring, None if there is none yet. Raises ContractError if it was edited."""
@@ -132,20 +131,16 @@ class Store:
             content = model.path.read_bytes()
             if hashlib.sha256(content).hexdigest() != model.sha256:
                 raise ContractError(f"{model.path} has changed while it was read; give its folder again")
-            _write(fresh / model.path.name, content)
-        _sync(fresh)
+            write_durably(fresh / model.path.name, content)
         fresh.rename(self.home / version)
-        _sync(self.home)
+        sync_folder(self.home)
         return version
 
     def wire(self, wiring: Wiring) -> None:
         """Store a wiring, safe against a power cut; versions without a reference are removed."""
         self._own()
         text = wiring.model_copy(update={"sha256": wiring.digest()}).model_dump_json(indent=1)
-        fresh = self.home / f".{WIRING}"
-        _write(fresh, text.encode())
-        fresh.rename(self.home / WIRING)
-        _sync(self.home)
+        write_durably(self.home / WIRING, text)
         kept = {wiring.active, *wiring.beside.values(), *[*wiring.rejected][-1:]}
         for path in self.home.iterdir():
             if path.is_dir() and path.name not in kept:
@@ -155,29 +150,8 @@ class Store:
         if self._lock is not None:
             return
         self.home.mkdir(mode=0o700, parents=True, exist_ok=True)
-        stream = (self.home / LOCK).open("w")
         try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            stream.close()
-            if not isinstance(error, BlockingIOError):
-                raise
+            self._lock = locked(self.home, LOCK)
+        except BlockingIOError:
             why = f"another service keeps its versions in {self.home}; give each its own --state"
             raise ContractError(why) from None
-        self._lock = stream
-
-
-def _write(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync(folder: Path) -> None:
-    """Flush the renames in a folder to the disk."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -6,7 +6,6 @@ open fingers, motors off and RAPID stopped: the client starts them.
 
 import asyncio
 import contextlib
-import json
 import math
 import signal
 import socket
@@ -20,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from reporting.files import write_json
 from service.contract import FINGERS, Sensor
 from simulation.cell.admin import create_admin
 from simulation.cell.cameras import CameraFeed, Draw, failure
@@ -273,9 +273,7 @@ async def serve(options: CellOptions, plant: Plant, sockets: Sockets) -> int:
     plant.save_calibration(calibration)
     facts = cell.description(calibration)
     (options.out / "cell.toml").write_text(client_config(facts, "http://127.0.0.1:8000", None))
-    partial = options.out / "cell.json.part"
-    partial.write_text(json.dumps(facts, indent=1) + "\n")
-    partial.replace(options.out / "cell.json")
+    write_json(options.out / "cell.json", facts)
     print(f"cell: ready, {options.object} at x {options.x_mm:+.1f} mm, yaw {options.theta_deg:+.1f} deg", flush=True)
     watch, end = asyncio.create_task(cell.watch()), asyncio.create_task(ended.wait())
     await asyncio.wait({watch, end}, return_when=asyncio.FIRST_COMPLETED)

@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from reporting.files import write_durably, write_json
+from reporting.files import write_json
 from reporting.page import publish
-from service.contract.shipped import released_models
+from service.contract.files import released_models, write_durably
 from simulation.closed_loop import benchmark, campaign
 from simulation.data.sources import sources_sha256
 from simulation.scene.scene import Scene, SceneError
@@ -201,7 +201,7 @@ def _identify(options: Identify) -> None:
     grip_n, intervals = study.identified(options.recordings, load_scene(options.object), fitted)
     comment = f"Identified from {options.recordings.name}, held: {options.object}, at {grip_n:g} N."
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    write_durably(options.out, study.world_file(grip_n, intervals, comment).encode())
+    write_durably(options.out, study.world_file(grip_n, intervals, comment))
     write_json(options.out.with_suffix(".json"), study.as_json(grip_n, intervals, fitted))
     for one in intervals:
         print(f"{one.key:<24} {one.estimate:8.3g}   {study.range_text(one)}")

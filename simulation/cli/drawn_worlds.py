@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from reporting.files import write_csv, write_durably
+from reporting.files import write_csv
 from reporting.page import publish
-from service.contract.shipped import released_models
+from service.contract.files import released_models, write_durably
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import campaign
 from simulation.closed_loop.job import Perception
@@ -101,7 +101,7 @@ def drawn_objects(out: Path, count: int, seed: int) -> list[str]:
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"object-{number:04d}.toml" for number in range(count)]
     for path, tables in zip(paths, drawn.draw_objects(count, seed), strict=True):
-        write_durably(path, drawn.toml(tables, "drawn").encode())
+        write_durably(path, drawn.toml(tables, "drawn"))
     return [str(path) for path in paths]
 
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import tyro
 
-from reporting.files import read_json, write_durably
+from reporting.files import read_json
 from reporting.machine import commit
-from service.contract.shipped import released_models
+from service.contract.files import released_models, write_durably
 from simulation.cli.drawn_worlds import drawn_objects, drawn_worlds_of
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import benchmark, campaign
@@ -116,7 +116,7 @@ def choose(arguments: list[str]) -> int:
         played.check()
         data = _played_in(load_world(options.world), played)
     best, kept = choosing.choose(data, wanted)
-    write_durably(options.out, choosing.settings_toml(best, data["insertions"]).encode())
+    write_durably(options.out, choosing.settings_toml(best, data["insertions"]))
     print(choosing.summary(best, data["insertions"], wanted, kept=kept), f"written to {options.out}", sep="\n")
     return 0 if kept else 1
 

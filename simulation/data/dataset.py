@@ -14,8 +14,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from reporting.files import locked, write_durably
 from service.contract import Sensor
+from service.contract.files import locked, write_durably
 from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, naming, read_manifest
 from simulation.data.trial import (
     LABELS,
@@ -55,7 +55,7 @@ class DatasetWriter:
 
     def _opened(self, fresh: Manifest) -> Manifest:
         if not (self.path / MANIFEST).exists():
-            write_durably(self.path / MANIFEST, fresh.model_dump_json(indent=1).encode())
+            write_durably(self.path / MANIFEST, fresh.model_dump_json(indent=1))
             return fresh
         manifest = read_manifest(self.path)
         manifest.must_continue(fresh, self.path)
@@ -104,7 +104,7 @@ class DatasetWriter:
         self._lock.close()
 
     def _save(self) -> None:
-        write_durably(self.path / MANIFEST, self.manifest.model_dump_json(indent=1).encode())
+        write_durably(self.path / MANIFEST, self.manifest.model_dump_json(indent=1))
 
 
 def encode_shard(

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from reporting.files import write_durably
 from robot_client.insertion.state import REFUSED, Phase, Plan, State
 from robot_client.session.commission.run import GRASPS_N, STALE
 from service.contract import wire
+from service.contract.files import write_durably
 from service.decision.attempt import Attempt
 from service.decision.work import read_by_depth
 from simulation.closed_loop.client import trip_s
@@ -147,4 +147,4 @@ def _keep(episode: Episode, job: Job, answered: Sequence[Answered], row: Row) ->
         summary |= {"approach": starts[0], "starts": starts[1:]} if starts else {}
     if row["grasps"] > 1:
         summary["continues"] = "the grasp before"
-    write_durably(episode.folder / "summary.json", (json.dumps(summary) + "\n").encode())
+    write_durably(episode.folder / "summary.json", json.dumps(summary) + "\n")

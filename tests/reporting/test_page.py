@@ -12,11 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from reporting.figure import drawing, label
-from reporting.files import read_json, write_durably
+from reporting.files import read_json
 from reporting.machine import best_cpu_ms, commit, machine
 from reporting.page import COLUMNS, page, publish
 from reporting.table import table
-from tests.full_disk import files_of_at_most
 
 
 @given(st.lists(st.text("abcdefgh", min_size=1, max_size=20), min_size=1, max_size=80))
@@ -55,22 +54,6 @@ def test_missing_and_damaged_data_name_the_file_and_the_command(tmp_path, damage
         path.write_text(damage)
     with pytest.raises(ValueError, match=r"report\.json is .*make report"):
         read_json(path, "make report")
-
-
-def test_a_failed_write_leaves_the_old_file(tmp_path):
-    path = tmp_path / "kept"
-    write_durably(path, b"old")
-    with pytest.raises(TypeError):
-        write_durably(path, "no bytes")
-    assert path.read_bytes() == b"old"
-
-
-def test_a_full_disk_is_named_and_keeps_no_part_of_a_file(tmp_path):
-    with files_of_at_most(20_000), pytest.raises(OSError, match=r"too large: '.*kept'"):
-        write_durably(tmp_path / "kept", bytes(30_000))
-    with pytest.raises(IsADirectoryError, match=tmp_path.name):
-        write_durably(tmp_path, b"new")
-    assert not list(tmp_path.parent.glob(".*.tmp")) + list(tmp_path.iterdir())
 
 
 def test_the_same_figure_has_the_same_bytes_and_names_no_maker(tmp_path):

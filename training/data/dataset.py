@@ -5,7 +5,6 @@ The only module that touches the simulator, and only its readers of datasets.
 
 import hashlib
 import json
-import os
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from rich.progress import track
 
 from service.contract import ContractError, Sensor
+from service.contract.files import replacing
 from service.perception.markers.sequence import track_pairs
 from training.config import JITTER, WINDOW, DataConfig
 from training.networks.preprocessing import pool_frames
@@ -224,7 +224,7 @@ def read_table(path: Path) -> dict[str, NDArray[Any]]:
 
 @contextmanager
 def reading(path: Path) -> Iterator[BinaryIO]:
-    """A file of the cache; one that a power cut left damaged is a ContractError."""
+    """A file of the cache; a damaged one is a ContractError."""
     try:
         with path.open("rb") as file:
             yield file
@@ -234,24 +234,18 @@ def reading(path: Path) -> Iterator[BinaryIO]:
 
 def write_table(path: Path, table: dict[str, NDArray[Any]]) -> None:
     """Write arrays as `read_table` reads them."""
-    with _whole(path) as temporary:
-        np.savez(temporary, **table)  # type: ignore[arg-type]
+    with _whole(path) as file:
+        np.savez(file, **table)  # type: ignore[arg-type]
 
 
 @contextmanager
-def _whole(path: Path) -> Iterator[Path]:
-    """A name to write a file whole or not at all, also where another process writes the same one.
-
-    Raises ContractError on a full disk.
-    """
-    temporary = path.with_suffix(f".{os.getpid()}.tmp{path.suffix}")
+def _whole(path: Path) -> Iterator[BinaryIO]:
+    """A file to write whole or not at all, also where another process writes it; ContractError on a full disk."""
     try:
-        yield temporary
-        temporary.replace(path)
+        with replacing(path) as file:
+            yield file
     except OSError as error:
-        raise ContractError(f"{path} cannot be written, is the disk full? {error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)  # or each further try would fill the disk a little more
+        raise ContractError(f"{path} cannot be written, is the disk full? {error.strerror}") from error
 
 
 def _load_pictures(
@@ -267,8 +261,8 @@ def _load_pictures(
         path = folder / f"{table['key'][trial]}.npy"
         if not path.exists():
             frames = source.frames(int(table["index"][trial]), int(table["start"][trial]), WINDOW)
-            with _whole(path) as temporary:
-                np.save(temporary, shown(frames, source.manifest.sensor, reads))
+            with _whole(path) as file:
+                np.save(file, shown(frames, source.manifest.sensor, reads))
         with reading(path) as file:
             kept.append(np.load(file))
     picture = np.full(len(table["split"]), -1, np.int64)

@@ -11,8 +11,8 @@ import torch
 from pydantic import JsonValue, ValidationError
 from torch import Tensor
 
-from reporting.files import write_durably
 from service.contract import ContractError, Sensor
+from service.contract.files import write_durably
 from service.contract.frames import first_error
 from service.contract.model_card import Expectations, Pressing
 from training.config import differences

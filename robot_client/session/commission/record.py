@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 from pathlib import Path
 from typing import Literal
 
@@ -11,6 +10,7 @@ from pydantic_core import to_json
 
 from robot_client.session.commission.lateness import Press, late_s
 from robot_client.session.commission.wiring import SIDES, Probe, mistakes
+from service.contract.files import write_durably
 from service.contract.frames import Contract, ContractError, Finger, first_error
 from service.contract.toml import read_toml, toml_text
 
@@ -109,14 +109,9 @@ def keep_record(path: Path, record: Record) -> None:
 
 def keep_text(path: Path, text: str) -> str:
     """Write a file of the record as atomically; returns its SHA-256."""
-    temporary = path.with_suffix(".tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
+        write_durably(path, text)
     except OSError as error:
         raise ContractError(f"cannot write {path}: {error.strerror}") from None
     return hashlib.sha256(text.encode()).hexdigest()

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
-from service.recordings.writer import write_whole
+from service.contract.files import write_durably
 
 Level = Literal["stop", "warning"]
 KEPT_N = 50
@@ -97,4 +97,4 @@ class Alarms:
 
     def _keep(self) -> None:
         """Have the alarms written; where that fails, the recordings' disk raises its own alarm."""
-        _disk.submit(write_whole, self._path, json.dumps([asdict(alarm) for alarm in self.all]))
+        _disk.submit(write_durably, self._path, json.dumps([asdict(alarm) for alarm in self.all]))

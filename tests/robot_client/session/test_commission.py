@@ -21,6 +21,7 @@ from robot_client.session.commission.wiring import SIDES, probe_of
 from service.contract import wire
 from service.contract.frames import ContractError
 from service.contract.words.wiring import WIRINGS
+from tests.full_disk import fill_before
 from tests.robot_client.insertion.stories import (
     PLAN,
     TO_ARMING,
@@ -170,16 +171,16 @@ def test_presses_count_among_the_probes_asked_for(tmp_path):
 def test_what_a_full_disk_has_not_taken_is_not_counted(tmp_path):
     path, cell = tmp_path / "record.toml", Cell()
     record = asyncio.run(commissioning(cell, path).run(5))
-    path.with_suffix(".tmp").symlink_to("/dev/full")
+    fill_before(path)
     running = commissioning(cell, path, record)
     with pytest.raises(ContractError, match="the last probe is not in it"):
         asyncio.run(running.run(6))
     assert running.record.done_n == read_record(path).done_n == 5
-    path.with_suffix(".tmp").unlink()
+    assert list(tmp_path.iterdir()) == [path], "nor is a part of it left"
 
     class Filling(Cell):
         async def several(self, places, answered):
-            path.with_suffix(".tmp").symlink_to("/dev/full")
+            fill_before(path)
             return await super().several(places, answered)
 
     running = commissioning(Filling(), path, record)

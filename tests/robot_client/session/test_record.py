@@ -14,6 +14,7 @@ from robot_client.session.commission.record import RECORD, Record, keep_record, 
 from robot_client.settings import Settings
 from service.contract.frames import ContractError
 from service.contract.toml import read_toml, toml_text
+from tests.full_disk import fill_before
 from tests.robot_client.insertion.stories import PLAN
 from tests.robot_client.session.test_lateness import series_of
 from tests.robot_client.session.test_wiring import all_went_in, answers
@@ -84,7 +85,7 @@ def test_the_record_of_an_older_release_has_fewer_fields_and_is_read_but_not_if_
 def test_a_full_disk_leaves_the_record_of_the_probe_before(tmp_path):
     path = tmp_path / "record.toml"
     keep_record(path, Record(begun="today", seed=1))
-    path.with_suffix(".tmp").symlink_to("/dev/full")
+    fill_before(path)
     with pytest.raises(ContractError, match="No space left on device; the last probe is not in it"):
         keep_record(path, Record(begun="today", seed=2))
     assert read_record(path).seed == 1

@@ -11,6 +11,7 @@ from robot_client.session.commission.record import RECORD, Record, read_record
 from robot_client.session.commission.run import Ended
 from robot_client.session.commission.taught import CELL, lower_mm, teach
 from robot_client.settings import load_settings
+from tests.full_disk import fill_before
 from tests.robot_client.insertion.stories import PLAN
 from tests.robot_client.session.test_commission import Cell
 from tests.robot_client.session.test_lateness import pressed, series_of
@@ -140,7 +141,7 @@ def test_insert_reads_what_a_commissioning_has_taught_and_one_with_mistakes_teac
 def test_a_disk_that_takes_no_taught_file_holds_the_cell_and_leaves_the_record(tmp_path, given, monkeypatch):
     path, lines = tmp_path / RECORD, []
     monkeypatch.setattr("robot_client.cli.commission.show", lines.append)
-    (tmp_path / "cell.tmp").symlink_to("/dev/full")
+    fill_before(tmp_path / CELL)
     ended = commissioned_by(Taught(), given, path, monkeypatch, probes_n=8)
     assert not ended.done
     assert [line for line in lines if line.startswith("HOLD")] == [

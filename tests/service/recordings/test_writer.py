@@ -142,8 +142,9 @@ def test_all_files_are_on_the_disk_before_the_recording_has_its_final_name(tmp_p
     recorder.attempt(1, lambda: {"steps": np.zeros(3)})
     files = {file.name: file.stat() for file in recorder.close({"outcome": "inserted"}).parent.iterdir()}
     assert set(files) >= {"insertion.mcap", "summary.json", "attempt_01.npz"}
+    assert on_disk.pop(recorder.folder.stat().st_ino), "nor does it take a name back"
     assert {file.st_ino: file.st_size for file in files.values()} == on_disk
-    assert "attempt_01.partial" in names, "nor does one earlier in the insertion cost an attempt that is over"
+    assert f".attempt_01.npz.{os.getpid()}.tmp" in names, "nor does one earlier cost an attempt that is over"
 
 
 def test_a_recording_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
@@ -235,10 +236,8 @@ def test_a_recording_that_cannot_be_recovered_stays_as_it_is_and_stops_nothing(
 
     monkeypatch.setattr("service.recordings.recovery._copy", disk_is_full)
     assert recover(tmp_path) == []
-    assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.glob("*/*")) == [
-        "a/insertion.mcap.part",
-        "b/insertion.mcap.part",
-    ]
+    parts = ["a/insertion.mcap.part", "b/insertion.mcap.part"]
+    assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.glob("*/*")) == parts
 
 
 def test_a_part_on_a_disk_that_is_read_only_now_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

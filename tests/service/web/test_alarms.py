@@ -138,7 +138,7 @@ def test_a_recording_without_an_end_blames_the_full_disk_as_well_as_the_service(
 
 def test_an_alarm_waits_for_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answers, waited = threading.Event(), []
-    monkeypatch.setattr("service.web.page.alarms.write_whole", lambda *_: waited.append(answers.wait(10)))
+    monkeypatch.setattr("service.web.page.alarms.write_durably", lambda *_: waited.append(answers.wait(10)))
     Alarms(tmp_path / "alarms.json").sound("service", "warning", "Fault of the service")
     assert waited == []
     answers.set()
@@ -156,8 +156,8 @@ def test_what_outlives_a_restart_is_on_the_disk_before_it_takes_its_forerunners_
     else:
         Alarms(tmp_path / kept).sound("service", "warning", "Fault of the service")
         assert len(Alarms(tmp_path / kept).all) == 1, "read behind what is being written"
-    file = (tmp_path / kept).stat()
-    assert on_disk == {file.st_ino: file.st_size}
+    file, folder = (tmp_path / kept).stat(), tmp_path.stat()
+    assert on_disk == {file.st_ino: file.st_size, folder.st_ino: folder.st_size}
 
 
 def test_a_disk_is_not_asked_while_events_wait_for_the_answer(

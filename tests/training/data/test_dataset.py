@@ -52,7 +52,7 @@ def test_the_cache_returns_what_was_read(trials, drawing, small, monkeypatch):
 
 @pytest.mark.parametrize("kept", [0, 0.5], ids=["empty", "half"])
 @pytest.mark.parametrize("kind", ["table", "drawn"])
-def test_a_file_of_the_cache_that_a_power_cut_damaged_is_named(small, tmp_path, kind, kept):
+def test_a_damaged_file_of_the_cache_is_named(small, tmp_path, kind, kept):
     config = DataConfig(path="unused", cache=str(tmp_path), rendered_training=1, rendered_validation=0, rendered_test=0)
     load_trials(config, small)
     damaged = next(tmp_path.rglob("table-*.npz" if kind == "table" else "*.npy"))
