@@ -70,10 +70,6 @@ class Gripper:
         self.force_limit_n = 40.0
         self.force_n = self.force_limit_n if self.holding else 0.0
         self.soft_limits_mm: tuple[float, float] | None = None
-        self.grasps_n = self.empty_n = self.lost_n = 0
-        self.tag = b""
-        self.overdrive = False
-        self.powered = [True, True]  # supply of the fingers
         self._motion: _Motion | None = None
         self._clamping_to_mm: float | None = None
         self._squeeze_s: float | None = None
@@ -157,7 +153,6 @@ class Gripper:
             SystemState.TARGET_POS_REACHED: self.reached,
             SystemState.SOFT_LIMIT_MINUS: self.width_mm <= (self.soft_limits_mm or (-1.0, 0.0))[0],
             SystemState.SOFT_LIMIT_PLUS: self.width_mm >= (self.soft_limits_mm or (0.0, 2 * STROKE_MM))[1],
-            SystemState.OVERDRIVE_MODE: self.overdrive,
             SystemState.FAST_STOP: self.fast_stopped,
             SystemState.TEMP_WARNING: faults.temperature_warning,
         }
@@ -201,7 +196,6 @@ class Gripper:
         self.stopped = self.reached = self.blocked = False
         self._clamping_to_mm = None
         self.force_n = self.force_n if self.holding else 0.0
-        self.grasps_n += motion.command is Command.GRASP
         self._motion = motion
         return Status.CMD_PENDING
 
@@ -219,7 +213,6 @@ class Gripper:
 
     def _lose_part(self) -> None:
         self.holding, self.force_n = False, 0.0
-        self.lost_n += 1
         self._part.released()
         if self.state is GraspingState.HOLDING:
             self.state = GraspingState.PART_LOST
@@ -266,7 +259,6 @@ class Gripper:
 
     def _arrive(self, motion: _Motion) -> None:
         if motion.command is Command.GRASP:
-            self.empty_n += 1
             self._end(Status.CMD_FAILED, GraspingState.NO_PART)
             return
         if motion.command is Command.HOMING:

@@ -23,7 +23,7 @@ from robot_client.grippers.wsg50.codec import (
 )
 from robot_client.grippers.wsg50.codes import Command, MoveFlag, Status
 from simulation.cell.emulators.faults import FaultBoard, take
-from simulation.cell.emulators.wsg50_answers import answer
+from simulation.cell.emulators.wsg50_answers import foreign_status
 from simulation.cell.emulators.wsg50_gripper import ACCELERATION_MM_S2, FORCE_N, SPEED_MM_S, STROKE_MM, Gripper
 
 MAX_LOOP_BYTES = 256  # [M] 3.1.1
@@ -74,9 +74,8 @@ class Session:
         for frame in self._parser.feed(data):
             if self.announced:  # [M] 3.1.2: it waits for the disconnection
                 self._reply(frame.command, Status.ACCESS_DENIED)
-            elif (more := answer(frame, self._gripper)) is not None:
-                for message, delay_s in more:
-                    self._later(delay_s, message)
+            elif (status := foreign_status(frame, self._gripper.state)) is not None:
+                self._reply(frame.command, status)
             else:
                 self._handle(frame)
 
@@ -196,12 +195,6 @@ class Session:
 
     def _reply(self, command: int, status: Status, *values: Value) -> None:
         self._send(encode_reply(command, status, *values))
-
-    def _later(self, delay_s: float, message: bytes) -> None:
-        if delay_s:
-            asyncio.get_running_loop().call_later(delay_s, self._send, message)
-        else:
-            self._send(message)
 
     def _send(self, message: bytes) -> None:
         faults = self._board.faults.wsg
