@@ -36,7 +36,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "choose": ("pace:choose", "the client's settings for a time, success and force, as a file"),
     "accuracy": ("physics:accuracy", "what physics accuracy costs in time: table, JSON, plot"),
 }
-RESUMED = {"collect", "evaluate", "trust", "pace", "drawn-worlds", "sealed", "motion-bounds"}
+RESUMED = {"collect", "evaluate", "trust", "pace", "drawn-worlds", "sealed", "motion-bounds", "commission"}
 
 
 def usage() -> str:
