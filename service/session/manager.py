@@ -91,9 +91,10 @@ class InsertionManager:
 
     @property
     def unrecorded(self) -> str:
-        """What keeps insertions from being recorded now, else what the one under way or the last one lacks; or ""."""
+        """What the recording under way, else the last one, lacks, or what keeps the next from being made; or ""."""
+        now = self.recording_problem  # first: a disk that hangs answers nobody, whatever befell the last insertion
         recorder = active.recorder if (active := self.active) else None  # asked by other threads
-        return self.recording_problem or (_lacks(recorder, recorder.problem) if recorder else "") or self._unrecorded
+        return (_lacks(recorder, recorder.problem) if recorder else "") or self._unrecorded or now
 
     def _note_recorded(self, problem: str) -> None:
         """Note that an insertion was recorded whole, or the problem."""

@@ -100,12 +100,17 @@ def test_fingers_that_hold_something_go_nowhere(tmp_path, monkeypatch, width_mm,
     assert fingers.is_mm == width_mm
 
 
+async def all_allowed(_probing, grips_n):
+    return grips_n
+
+
 @pytest.mark.parametrize("begun_before", [False, True])
 def test_only_a_record_that_exists_is_named(tmp_path, monkeypatch, begun_before):
     """A commissioning that fails before its first probe is complete has written none."""
     lines = []
     monkeypatch.setattr("robot_client.cli.commission.show", lines.append)
     monkeypatch.setattr(Fingers, "held", True)
+    monkeypatch.setattr(Probing, "allowed", all_allowed)
     errands = Errands(None, lambda: Fingers(79.5, empty=False), REAL.limits, REAL.ramps, 3.0, 35.0)
     settings = SimpleNamespace(cycle=REAL.cycle, errands=errands, make_gripper=lambda: Fingers(79.5, empty=False))
     path, record = tmp_path / RECORD, Record(begun="2026-01-01T00:00:00", seed=0, object="rectangle")
@@ -128,6 +133,7 @@ async def test_an_interrupt_while_the_gripper_is_left_does_not_hide_why_the_cell
         leaves.set()
         await left.wait()
 
+    monkeypatch.setattr(Probing, "allowed", all_allowed)
     monkeypatch.setattr(Probing, "begin", refuses)
     monkeypatch.setattr(KeptGripper, "leave", leave)
     record = Record(begun="2026-01-01T00:00:00", seed=0)
