@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from service.contract.files import write_durably
+from service.durable import write_durably
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 PALETTE = (BLUE, ORANGE, GREEN, RED, "#CC79A7", "#56B4E9", "#F0E442", "#000000")

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from service.contract.files import write_durably
+from service.durable import write_durably
 
 
 def write_json(path: Path, data: Any) -> None:

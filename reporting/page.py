@@ -8,7 +8,7 @@ from typing import Any
 
 from reporting.files import write_json
 from reporting.table import Table
-from service.contract.files import write_durably
+from service.durable import write_durably
 
 COLUMNS = 100
 TIED = re.compile(r" (?=%|(?:[0-9]+[.)]|[-+*>]|#+)(?: |$))")  # at the head of a line they would begin a list or heading

@@ -31,8 +31,8 @@ from pydantic_settings import (
 from pydantic_settings import SettingsError as CliError
 
 from service.contract import ContractError
-from service.contract.files import released_models
 from service.contract.refusals import nearest
+from service.contract.shipped import released_models
 from service.contract.text import without_secrets
 from service.contract.token import check_token, is_loopback, state_folder
 from service.contract.toml import read_toml

@@ -7,10 +7,10 @@ from typing import Any, BinaryIO, Self
 
 from pydantic import Field, JsonValue, ValidationError
 
-from service.contract.files import locked, write_durably
 from service.contract.frames import Contract, ContractError
 from service.contract.refusals import describe
 from service.contract.toml import read_toml
+from service.durable import locked, write_durably
 from training.networks import network_class
 from training.networks.settings import FRAMES_PER_DECISION, NetworkConfig
 

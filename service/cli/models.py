@@ -6,8 +6,8 @@ from pathlib import Path
 
 from pydantic import JsonValue
 
-from service.contract.files import released_models
 from service.contract.model_card import UNTRAINED, ModelCard
+from service.contract.shipped import released_models
 from service.contract.text import Parser, fitted, printable
 from service.decision.models import LoadedModel, load_models
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from statistics import NormalDist
 from typing import NamedTuple
 
-from service.contract.files import write_durably
+from service.durable import write_durably
 
 LEARNT_N = 100  # insertions of an object
 OBJECTS_N = 32  # with stored first insertions; values of later objects are not compared

@@ -19,7 +19,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from service.contract import ContractError
-from service.contract.files import locked, write_durably
+from service.durable import locked, write_durably
 from service.recordings.writer import FINAL, PART, RECOVERING, RECOVERY, TASK, UNREADABLE
 
 LOCK = "lock"

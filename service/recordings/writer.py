@@ -50,8 +50,8 @@ from numpy.typing import NDArray
 
 from service.cameras.capture import CameraFrame
 from service.contract import TactileFrame, wire
-from service.contract.files import replacing, write_durably
 from service.contract.refusals import reason
+from service.durable import replacing, write_durably
 from service.perception.observation import Observation
 from service.recordings.messages import image_message, markers_message
 from service.recordings.names import name_after

@@ -14,8 +14,8 @@ from typing import Any, Self
 from pydantic import BaseModel, ValidationError
 
 from service.contract import FINGERS, FramePair, TactileFrame, wire
-from service.contract.files import released_models
 from service.contract.frames import first_error
+from service.contract.shipped import released_models
 from service.contract.wire import Limits
 from service.decision.attempt import WorkResult
 from service.decision.models import ModelSet, load_models

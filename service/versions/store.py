@@ -12,9 +12,9 @@ from typing import IO, Literal, Self
 
 from pydantic import Field, ValidationError
 
-from service.contract.files import locked, sync_folder, write_durably
 from service.contract.frames import Contract, ContractError, Finger, first_error
 from service.decision.models import ModelSet, load_models
+from service.durable import locked, sync_folder, write_durably
 from service.versions.contest import Contest, Role
 
 WIRING, LOCK = "wiring.json", "lock"

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 from urllib.request import urlopen
 
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from service.contract.token import TOKEN_FILE
 from service.contract.toml import read_toml
 from simulation.cell import run_report

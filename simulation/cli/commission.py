@@ -13,7 +13,8 @@ import tyro
 
 from reporting.files import write_json
 from reporting.page import publish
-from service.contract.files import released_models, write_durably
+from service.contract.shipped import released_models
+from service.durable import write_durably
 from simulation.closed_loop import benchmark, campaign
 from simulation.data.sources import sources_sha256
 from simulation.scene.scene import Scene, SceneError

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import tyro
 
 from service.contract import ContractError, Sensor
-from service.contract.files import write_durably
 from service.contract.toml import read_toml
+from service.durable import write_durably
 from simulation.data import drawn_cells, lerobot
 from simulation.data.collect import Plan, make_shard, scene_of, shard_of
 from simulation.data.dataset import Dataset, DatasetWriter, slice_of

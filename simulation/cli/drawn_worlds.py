@@ -10,7 +10,8 @@ import tyro
 
 from reporting.files import write_csv
 from reporting.page import publish
-from service.contract.files import released_models, write_durably
+from service.contract.shipped import released_models
+from service.durable import write_durably
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import campaign
 from simulation.closed_loop.job import Perception

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from reporting.files import write_json
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from simulation.closed_loop import benchmark, campaign
 from simulation.closed_loop.campaign import Task
 from simulation.closed_loop.job import Job, Outcome, Perception, Who

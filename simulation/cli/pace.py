@@ -10,7 +10,8 @@ import tyro
 
 from reporting.files import read_json
 from reporting.machine import commit
-from service.contract.files import released_models, write_durably
+from service.contract.shipped import released_models
+from service.durable import write_durably
 from simulation.cli.drawn_worlds import drawn_objects, drawn_worlds_of
 from simulation.cli.evaluate import PlayOptions
 from simulation.closed_loop import benchmark, campaign

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from service.contract import FINGERS, Sensor
-from service.contract.files import write_durably
+from service.durable import write_durably
 from simulation.data import drawn_cells
 from simulation.data.dataset import encode_shard
 from simulation.data.manifest import DatasetError, ShardEntry, shard_file_name

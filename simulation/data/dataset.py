@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.contract import Sensor
-from service.contract.files import locked, write_durably
+from service.durable import locked, write_durably
 from simulation.data.manifest import MANIFEST, DatasetError, Manifest, ShardEntry, naming, read_manifest
 from simulation.data.trial import (
     LABELS,

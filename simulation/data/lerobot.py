@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from reporting.files import write_json
 from service.contract import Sensor
-from service.contract.files import write_durably
+from service.durable import write_durably
 from simulation.data.dataset import Dataset
 from simulation.data.manifest import DatasetError, file_sha256, naming
 from simulation.data.trial import FRAMES, Trial, arrays, from_row, stated

@@ -12,9 +12,9 @@ import numpy as np
 from robot_client.insertion.state import REFUSED, Phase, Plan, State
 from robot_client.session.commission.run import GRASPS_N, STALE
 from service.contract import wire
-from service.contract.files import write_durably
 from service.decision.attempt import Attempt
 from service.decision.work import read_by_depth
+from service.durable import write_durably
 from simulation.closed_loop.client import trip_s
 from simulation.closed_loop.job import Job, Outcome
 from simulation.closed_loop.play import Insertion, models_of, stage

@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 from service.contract import wire_parts
-from service.contract.files import released_models
 from service.contract.replies import MEANT
+from service.contract.shipped import released_models
 from service.session.station import open_station
 from service.settings import Settings
 from service.web.metrics import Metrics

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rich.progress import track
 
 from service.contract import ContractError, Sensor
-from service.contract.files import replacing
+from service.durable import replacing
 from service.perception.markers.sequence import track_pairs
 from training.config import JITTER, WINDOW, DataConfig
 from training.networks.preprocessing import pool_frames

@@ -12,9 +12,9 @@ from pydantic import JsonValue, ValidationError
 from torch import Tensor
 
 from service.contract import ContractError, Sensor
-from service.contract.files import write_durably
 from service.contract.frames import first_error
 from service.contract.model_card import Expectations, Pressing
+from service.durable import write_durably
 from training.config import differences
 from training.data.labels import CLASSES
 from training.metrics.figures import Scales

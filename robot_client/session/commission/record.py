@@ -10,9 +10,9 @@ from pydantic_core import to_json
 
 from robot_client.session.commission.lateness import Press, late_s
 from robot_client.session.commission.wiring import SIDES, Probe, mistakes
-from service.contract.files import write_durably
 from service.contract.frames import Contract, ContractError, Finger, first_error
 from service.contract.toml import read_toml, toml_text
+from service.durable import write_durably
 
 RECORD = "commissioning.toml"
 ANEW = "move its folder away and commission the cell again"

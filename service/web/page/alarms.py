@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
-from service.contract.files import write_durably
+from service.durable import write_durably
 
 Level = Literal["stop", "warning"]
 KEPT_N = 50

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from reporting.files import added_rows, read_rows
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from simulation.cell.run import RunOptions
 from simulation.closed_loop.campaign import claim, fingerprint
 from simulation.data.sources import ROOT

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from reporting.files import read_json
 from reporting.statistics import wilson
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from service.contract.wire import PRESS_MM
 from simulation.closed_loop.play import models_of
 from simulation.closed_loop.statistics import Row

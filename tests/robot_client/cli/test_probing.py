@@ -23,7 +23,7 @@ from robot_client.session.cycle import CycleSettings
 from robot_client.session.travel import Errands
 from robot_client.settings import Settings, Task
 from service.contract import wire
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from service.decision.models import load_models
 from tests.robot_client.insertion.stories import APPROACH, ID, PLAN, TO_DESCENT, at, no_decision, run, service
 from tests.robot_client.live_cell import Part, bench, undisturbed

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from service.contract import TactileFrame, wire
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from service.decision.attempt import WorkResult
 from service.decision.evidence import Refusal
 from service.decision.models import load_models

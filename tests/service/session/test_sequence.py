@@ -7,7 +7,7 @@ import pytest
 
 from robot_client.insertion.state import Phase
 from service.contract import FramePair, wire
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from service.decision.evidence import Refusal
 from service.perception.rectification import Rectifier
 from service.session.sequence import _correction, decide

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from simulation.cli import evaluate
 from simulation.closed_loop import campaign
 from simulation.closed_loop.job import Job

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robot_client.insertion.events import Begin
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.lockstep import LockstepCell
 from simulation.closed_loop.play import models_of, stage

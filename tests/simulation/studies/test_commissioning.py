@@ -22,7 +22,7 @@ OBJECTS = ("rectangle", "circle")
 
 
 def asked_for_signs(world: World, tmp_path) -> Row:
-    from service.contract.files import released_models
+    from service.contract.shipped import released_models
 
     objects = {name: world.around(scene) for name, scene in load_objects(OBJECTS).items()}
     plan = Plan(released_models() / "checkpoint.pt", released_models(), 0, 1, workers=1)
@@ -177,7 +177,7 @@ def test_a_world_whose_file_states_a_mistake_is_no_good_cell_that_was_accused():
 
 
 def test_an_adapted_network_that_cannot_be_exported_is_refused_and_the_cell_goes_on(tmp_path, monkeypatch):
-    from service.contract.files import released_models
+    from service.contract.shipped import released_models
     from training.fit.checkpoint import Checkpoint
 
     unvalidated = replace(Checkpoint.load(released_models() / "checkpoint.pt"), figures={})
@@ -211,7 +211,7 @@ def episodes(folder: Path, count: int) -> list[Path]:
 
 
 def test_a_verdict_is_kept_for_its_episodes_and_its_release_only(tmp_path):
-    from service.contract.files import released_models
+    from service.contract.shipped import released_models
 
     cell = Cell(World("cell"), load_objects(OBJECTS), tmp_path / "cell", 3)
     plan = Plan(released_models() / "checkpoint.pt", released_models(), 0, 1, workers=1)

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from simulation.closed_loop.job import job_in
 from simulation.scene import drawn
 from simulation.studies.episodes import Episode, play

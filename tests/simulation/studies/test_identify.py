@@ -9,8 +9,8 @@ import pytest
 from robot_client.session.commission.run import PRESSES
 from robot_client.session.commission.wiring import SIDES
 from service.contract import ContractError, Sensor
-from service.contract.files import released_models
 from service.contract.model_card import CONDITIONS
+from service.contract.shipped import released_models
 from simulation.__main__ import main
 from simulation.scene.worlds import load_world
 from simulation.studies.identify import posterior, recorded, study

@@ -3,7 +3,7 @@
 import pytest
 
 from robot_client.session.commission.lateness import LEAST_OPEN_S
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from simulation.cli.drawn_worlds import drawn_worlds_of
 from simulation.closed_loop.play import Insertion
 from simulation.scene import drawn

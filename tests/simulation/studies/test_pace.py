@@ -15,7 +15,7 @@ from robot_client.insertion.events import Begin
 from robot_client.insertion.lease import Lease
 from robot_client.insertion.machine import Phase, State, step
 from robot_client.settings import load_settings
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from simulation.cell.config import client_config
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import insert, models_of

@@ -7,7 +7,7 @@ import pytest
 from robot_client.insertion.events import FromService
 from robot_client.insertion.state import REFUSED
 from service.contract import Sensor, wire
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from simulation.closed_loop.job import job_in
 from simulation.closed_loop.play import Insertion
 from simulation.scene import drawn

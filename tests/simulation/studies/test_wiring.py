@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robot_client.session.commission.wiring import SIDES
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from simulation.cli.drawn_worlds import drawn_worlds_of
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import insert, models_of

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.contract import Sensor
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from tests.training.data.test_episodes import recorded
 from training.adapt.adapt import compare
 from training.data.episodes import read_episodes

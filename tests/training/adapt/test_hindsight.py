@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from service.contract import Sensor
-from service.contract.files import released_models
+from service.contract.shipped import released_models
 from service.decision.outline import SOFT_MM
 from tests.training.data.test_episodes import keep, recorded, steps_of
 from training.adapt.hindsight import STEP, drawn

@@ -11,7 +11,7 @@ import torch
 
 from export.cli.commands import main as export_main
 from service.contract import ContractError, Sensor
-from service.contract.files import locked
+from service.durable import locked
 from simulation.data.manifest import MANIFEST, ShardEntry
 from tests.simulation.strategies import made_up_dataset, made_up_trial
 from tests.training.conftest import MARKERS

@@ -1,4 +1,4 @@
-"""Files of every package: those that a release ships beside its code, and those that survive a kill or power cut."""
+"""Files of every package that survive a kill or power cut, and locks that do not."""
 
 import errno
 import fcntl
@@ -7,20 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
-
-
-def released_models() -> Path:
-    """Folder of the released networks: in `models` here, else in the checkout's, else in the installed ones.
-
-    Those that read depth lie in its folder `pressing`. If none holds an ONNX file the answer is `models`, so that an
-    error names the folder a user would expect.
-    """
-    here = Path("models")
-    checkout, *around = Path(__file__).parents[2:]
-    # How far above the packages `share` lies depends on pip: an environment, a user's home, or a folder of its own.
-    installed = [folder / "share" / "tactile-insertion" / "models" for folder in (checkout, *around)]
-    folders = [folder for root in (here, checkout / "models", *installed) for folder in (root / "pressing", root)]
-    return next((folder for folder in folders if any(folder.glob("*.onnx"))), here)
 
 
 def write_durably(path: Path, content: str | bytes) -> None:

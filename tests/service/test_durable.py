@@ -1,29 +1,13 @@
 import errno
 import os
-import runpy
 import stat
 from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
-from service.contract import files
-from service.contract.files import locked, write_durably
+from service.durable import locked, write_durably
 from tests.full_disk import files_of_at_most
-
-
-@pytest.mark.parametrize("packages", ["lib/python3.11/site-packages", "."])
-def test_the_networks_are_found_where_pip_installs_for_one_user_or_into_a_folder(packages, tmp_path, monkeypatch):
-    """Neither is the place that Python itself knows: `pip install --user`, or where pip may not write, and --target."""
-    installed = tmp_path / packages / "service" / "contract" / "files.py"
-    installed.parent.mkdir(parents=True)
-    installed.write_bytes(Path(files.__file__).read_bytes())
-    network = tmp_path / "share" / "tactile-insertion" / "models" / "pressing" / "pair.step.onnx"
-    network.parent.mkdir(parents=True)
-    network.touch()
-    (tmp_path / "work").mkdir()
-    monkeypatch.chdir(tmp_path / "work")
-    assert runpy.run_path(str(installed))["released_models"]() == network.parent
 
 
 def test_a_power_cut_leaves_the_old_file_or_the_new_one_and_takes_neither_back(tmp_path, monkeypatch):
