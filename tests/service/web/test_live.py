@@ -59,10 +59,14 @@ def test_health_ready_and_metrics_answer(live: LiveService) -> None:
     assert 'tactile_internal_errors{where="perception"} 0.0' in text
 
 
+def metrics_of(live: LiveService, named: str) -> dict[str, float]:
+    """The values of the metrics whose name this expression matches, by its group."""
+    return {what: float(n) for what, n in re.findall(rf"^{named} (\S+)$", live.metrics(), re.MULTILINE)}
+
+
 def timed(live: LiveService) -> dict[str, float]:
     """How many stops were timed from their frames to their messages, and their seconds."""
-    line = r"^tactile_slip_age_seconds_(count|sum) (\S+)$"
-    return {what: float(n) for what, n in re.findall(line, live.metrics(), re.MULTILINE)}
+    return metrics_of(live, "tactile_slip_age_seconds_(count|sum)")
 
 
 def test_a_stop_is_timed_whether_by_slip_or_because_the_networks_have_seen_enough(live: LiveService) -> None:
@@ -120,8 +124,7 @@ def test_only_one_client_drives_and_others_watch(live: LiveService) -> None:
 
 def refused_n(live: LiveService) -> dict[str, float]:
     """How many clients were refused so far, by why."""
-    line = r'^tactile_clients_refused_total{code="(\w+)"} (\S+)$'
-    return {code: float(n) for code, n in re.findall(line, live.metrics(), re.MULTILINE)}
+    return metrics_of(live, r'tactile_clients_refused_total{code="(\w+)"}')
 
 
 def test_a_client_that_is_turned_away_is_counted_by_why(live: LiveService) -> None:
