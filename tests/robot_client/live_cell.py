@@ -5,7 +5,7 @@ Everything runs on the test's event loop over real sockets. Contact is geometry,
 
 import asyncio
 import contextlib
-import socket
+import random
 import time
 from dataclasses import dataclass, field
 
@@ -26,7 +26,7 @@ from simulation.cell.emulators.abb.motion import Follower, MotionLimits, Pose, t
 from simulation.cell.emulators.abb.rapid import RapidServers
 from simulation.cell.emulators.abb.rws import Gate, create_app
 from simulation.cell.emulators.faults import FaultBoard
-from simulation.cell.emulators.net import HttpServer, bind_tcp, bind_udp, free_port, port_of
+from simulation.cell.emulators.net import BusyPortError, HttpServer, bind_tcp, bind_udp, port_of
 from simulation.cell.emulators.wsg50 import Wsg50Emulator
 from simulation.cell.emulators.wsg50_gripper import Gripper
 from tests.robot_client.robots.abb_rws.omnicore import Basic, create_app2
@@ -134,6 +134,13 @@ def outcome(ends, name):
     return ends[name]
 
 
+def unused_guide_port():
+    """Below the ports that the kernel gives away: else another socket takes it before the driver listens on it."""
+    while True:
+        with contextlib.suppress(BusyPortError), bind_udp(random.SystemRandom().randrange(12_000, 32_000), "") as free:
+            return port_of(free)
+
+
 @contextlib.asynccontextmanager
 async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm", part=None, omnicore=None):
     """``omnicore``: files of a certificate and its key, for a controller of RobotWare 7."""
@@ -143,7 +150,7 @@ async def bench(*, lag_ms=20.0, holding=True, overrides=None, device="abb_egm", 
     cabinet = Cabinet(Follower(start, MotionLimits(lag_s=lag_ms / 1000.0)), board, delays)
     cabinet.sockets = device == "abb_rapid"
     frames = CellFrames()
-    guide_port = free_port(socket.SOCK_DGRAM)
+    guide_port = unused_guide_port()
     egm = EgmEmulator(cabinet, frames, guide_port)
     rws_socket, wsg_socket = bind_tcp(0, "RWS"), bind_tcp(0, "gripper")
     if omnicore:
