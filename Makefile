@@ -222,7 +222,7 @@ commissioning: $(RUN_VENV)/ready ## first days of 12 drawn cells: wiring check w
 
 identify: $(RUN_VENV)/ready ## identify gels from presses, on 60 fresh drawn cells: docs/identify.md; FIT=1 refits the released posterior
 	$(if $(FIT),$(RUN) -m simulation scene fit --out runs/identify --to simulation/studies/identify/posterior.npz)
-	$(RUN) -m simulation scene judge --out runs/identify --layer-cells 12 --docs docs
+	$(RUN) -m simulation scene judge --out runs/identify --docs docs
 
 # ---- operations ---------------------------------------------------------------------------------------------------
 # Containers with docker if available, else podman. CELL= names a cell: its settings are in docker/CELL.env.

@@ -27,7 +27,7 @@ from simulation.studies.identify.page import identify_page
 from simulation.studies.wiring import mistaken
 
 PLAYED_BY, STORED_BY = "simulation.studies.identify.cells", "simulation.studies.episodes"
-FIRST_COARSE, FIRST_FINE, FIRST_LAYER, FIRST_FRESH = 1000, 5000, 7000, 910_000
+FIRST_FITTED, FIRST_LAYER, FIRST_FRESH = 1000, 7000, 920_000
 """Numbers of the first cell that the posterior is fitted to, and of the first that it is evaluated on."""
 
 
@@ -159,10 +159,9 @@ class Play:
 class Fit(Play):
     """Fit the posterior to drawn cells, as the released one was."""
 
-    coarse_cells: int = 306
-    """cells on coarser pads, on which the intervals are not calibrated"""
-    cells: int = 300
-    layer_cells: int = 44
+    cells: int = 600
+    layer_cells: int = 300
+    """further cells of the finer tier, which take three times as long"""
     to: Path = Path("runs/identify/posterior.npz")
     """file to write"""
 
@@ -174,8 +173,8 @@ class Evaluate(Play):
     first: int = FIRST_FRESH
     """number of the first cell; outside the fitted ones"""
     cells: int = 60
-    layer_cells: int = 0
-    """further cells of the finer tier, which is many times slower"""
+    layer_cells: int = 40
+    """further cells of the finer tier"""
     posterior: Path = posterior.SHIPPED
     docs: Path | None = None
     """also write identify.md and its data into this folder"""
@@ -209,18 +208,16 @@ def _identify(options: Identify) -> None:
     print(f"written: {options.out}")
 
 
-def _cells(options: Play, first: int, count: int, play: pressing.Play, tier: str = "bristle") -> list[pressing.Cell]:
+def _cells(options: Play, first: int, count: int, tier: str = "bristle") -> list[pressing.Cell]:
     numbers, folder = range(first, first + count), options.out / sources_sha256(PLAYED_BY)[:12]
-    return [pressing.Cell(n, folder / f"{tier}-{n:07d}", options.models, play, tier) for n in numbers]
+    return [pressing.Cell(n, folder / f"{tier}-{n:07d}", options.models, tier) for n in numbers]
 
 
 def _fit(options: Fit) -> None:
-    cells = _cells(options, FIRST_COARSE, options.coarse_cells, "coarse")
-    cells += _cells(options, FIRST_FINE, options.cells, "closer")
-    cells += _cells(options, FIRST_LAYER, options.layer_cells, "closer", "layer")
+    cells = _cells(options, FIRST_FITTED, options.cells)
+    cells += _cells(options, FIRST_LAYER, options.layer_cells, "layer")
     about = {
-        "made_by": "python -m simulation scene fit"
-        f" --coarse-cells {options.coarse_cells} --cells {options.cells} --layer-cells {options.layer_cells}",
+        "made_by": f"python -m simulation scene fit --cells {options.cells} --layer-cells {options.layer_cells}",
         "physics": sources_sha256(PLAYED_BY),
         "simulated": True,
     }
@@ -231,8 +228,8 @@ def _fit(options: Fit) -> None:
 
 
 def _evaluate(options: Evaluate) -> None:
-    cells = _cells(options, options.first, options.cells, "whole")
-    cells += _cells(options, options.first, options.layer_cells, "whole", "layer")
+    cells = _cells(options, options.first, options.cells)
+    cells += _cells(options, options.first, options.layer_cells, "layer")
     fitted = posterior.load(options.posterior)
     rows = [study.scored(row, fitted) for row in study.played(cells, options.workers)]
     data = {"simulated": True, "note": options.note, "posterior": dict(fitted.about), "rows": rows}

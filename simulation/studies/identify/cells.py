@@ -1,10 +1,9 @@
 """Drawn cells that press as in a commissioning: for fitting the posterior and for evaluating it."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,6 @@ from robot_client.session.commission.run import PRESSES, second_grip_n
 from robot_client.session.commission.wiring import SIDES
 from service.contract import ContractError
 from simulation.closed_loop.job import job_in
-from simulation.data.drawn_cells import SETTLE_MM
 from simulation.scene import drawn
 from simulation.scene.scene import SceneError
 from simulation.scene.worlds import World, load_scene
@@ -22,17 +20,6 @@ from simulation.studies.identify.evidence import Floats
 from simulation.studies.pace.points import client, with_care
 from simulation.studies.wiring import BEFORE_SIGNS
 
-Play = Literal["coarse", "closer", "whole"]
-SAVES: Mapping[Play, Mapping[str, Any]] = {
-    "coarse": {"numerics.settle_mm": SETTLE_MM, "gel.node_rows": 16, "gel.node_columns": 16},
-    "closer": {"numerics.settle_mm": SETTLE_MM},
-    "whole": {},
-}
-"""Simplifications of cells not used for evaluation. Coarser pads shift Poisson's ratio by a twentieth of its range, so
-only other cells calibrate intervals. The arm of both starts closer above the tops.
-"""
-CLOSER_MM = 2.0
-
 
 @dataclass(frozen=True)
 class Cell:
@@ -41,7 +28,6 @@ class Cell:
     number: int
     folder: Path
     models: Path
-    play: Play
     tier: str = "bristle"
 
     @property
@@ -59,7 +45,7 @@ class Cell:
 def pressed(cell: Cell) -> dict[str, Any]:
     """In a worker: the cell's ground truth, and the numbers from its probes or why there are none."""
     tables = cell.tables
-    row: dict[str, Any] = {"number": cell.number, "play": cell.play, "tables": tables}
+    row: dict[str, Any] = {"number": cell.number, "tables": tables}
     try:
         return {**row, "numbers": _probed(cell, tables).tolist()}
     except (ContractError, SceneError) as error:
@@ -85,7 +71,5 @@ def _job(
 ) -> dict[str, Any]:
     start, index, group = which
     tables = dict(with_care(client(), world, str(body), None))
-    if cell.play != "whole":
-        tables["task"] = {"approach_clearance_mm": CLOSER_MM}
     job = job_in(world, str(body), index, start, cell.number * 16 + group * 4 + index, client=tables, **BEFORE_SIGNS)
-    return {**job, "changes": {**job["changes"], "grasp.force_n": grip_n, **SAVES[cell.play]}}
+    return {**job, "changes": {**job["changes"], "grasp.force_n": grip_n}}

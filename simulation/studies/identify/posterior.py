@@ -23,7 +23,6 @@ Floats = NDArray[np.float64]
 SHIPPED = Path(__file__).with_name("posterior.npz")
 LEVEL = 0.9
 FOLDS, AXES, RANDOM, STEEP = 10, 40, 400, 2.0
-UNCALIBRATED = "coarse"
 FAR = 5.0  # deviations from the middle, beyond which a number is clipped
 WIDEST = 0.8
 """Share of the span of nine of ten drawn cells: a wider interval adds no knowledge."""
@@ -155,11 +154,11 @@ def load(path: Path = SHIPPED) -> Posterior:
         raise ContractError(f"{path} holds no posterior: {error}") from error
 
 
-def fit(numbers: Floats, truth: Floats, kinds: NDArray[np.str_], about: Mapping[str, Any], seed: int = 0) -> Posterior:
-    """Fit it to cells: numbers [n, p], truth [n, parameters] as shares, ``kinds`` [n] of cells.
+def fit(numbers: Floats, truth: Floats, tiers: NDArray[np.str_], about: Mapping[str, Any], seed: int = 0) -> Posterior:
+    """Fit it to cells: numbers [n, p], truth [n, parameters] as shares, ``tiers`` [n] of the gels.
 
-    Intervals are calibrated separately on each kind except UNCALIBRATED, on each cell by a fit without its fold. They
-    apply to the kind that needs the widest, because the kind of a real gel is unknown.
+    Intervals are calibrated separately on each tier, on each cell by a fit without its fold. They are those of the tier
+    that needs the widest, because a real gel is of neither.
     """
     middle, spread = np.median(numbers, 0), np.maximum(numbers.std(0), 1e-6)
     scaled = np.clip((numbers - middle) / spread, -FAR, FAR)
@@ -170,12 +169,12 @@ def fit(numbers: Floats, truth: Floats, kinds: NDArray[np.str_], about: Mapping[
     off = _held_out(features, truth, folds)
     size = np.log(np.abs(off) + 0.02)
     ratio = np.abs(off) / _size(size - _held_out(features, size, folds))
-    counts = {str(kind): int((kinds == kind).sum()) for kind in np.unique(kinds)}
-    ranks = {kind: min(1.0, LEVEL * (1.0 + 1.0 / count)) for kind, count in counts.items() if kind != UNCALIBRATED}
-    reach = np.max([np.quantile(ratio[kinds == kind], rank, axis=0) for kind, rank in ranks.items()], axis=0)
+    counts = {str(tier): int((tiers == tier).sum()) for tier in np.unique(tiers)}
+    ranks = {tier: min(1.0, LEVEL * (1.0 + 1.0 / count)) for tier, count in counts.items()}
+    reach = np.max([np.quantile(ratio[tiers == tier], rank, axis=0) for tier, rank in ranks.items()], axis=0)
     prior = np.diff(np.quantile(truth, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], axis=0), axis=0)[0]
     whitened = np.sqrt(np.square(scaled @ axes).mean(1))
-    about = {**about, "cells_n": len(numbers), "kinds": counts, "strangest": float(np.quantile(whitened, 0.999))}
+    about = {**about, "cells_n": len(numbers), "tiers": counts, "strangest": float(np.quantile(whitened, 0.999))}
     return Posterior(middle, spread, axes, _ridge(features, truth), _ridge(features, size), reach, prior, about)
 
 

@@ -62,9 +62,9 @@ def fitted(rows: Sequence[Row], about: Mapping[str, Any]) -> Posterior:
     kept = [row for row in rows if "numbers" in row]
     numbers = np.array([row["numbers"] for row in kept])
     truth = np.array([posterior.truth_of(row["tables"]) for row in kept])
-    kinds = np.array([row["play"] if row["play"] == "coarse" else row["tables"]["gel"]["tier"] for row in kept])
+    tiers = np.array([row["tables"]["gel"]["tier"] for row in kept])
     sound = np.isfinite(numbers).all(1)
-    return posterior.fit(numbers[sound], truth[sound], kinds[sound], about)
+    return posterior.fit(numbers[sound], truth[sound], tiers[sound], about)
 
 
 def scored(row: Row, model: Posterior) -> Row:

@@ -32,9 +32,8 @@ def numbers(truth, rng):
 def made():
     rng = np.random.default_rng(1)
     truth = rng.random((600, len(posterior.PARAMETERS)))
-    return posterior.fit(
-        numbers(truth, rng), truth, np.where(np.arange(600) > 100, "bristle", "coarse"), {"made_by": "a test"}
-    )
+    tiers = np.where(np.arange(600) > 200, "bristle", "layer")
+    return posterior.fit(numbers(truth, rng), truth, tiers, {"made_by": "a test"})
 
 
 def test_nine_of_ten_fresh_cells_lie_within_their_intervals(made):
@@ -71,7 +70,7 @@ def test_a_parameter_keeps_its_range():
 def played(tmp_path_factory):
     """The recordings of a drawn cell that pressed, and its row."""
     folder = tmp_path_factory.mktemp("cell")
-    return folder, pressed(Cell(CELL, folder, released_models(), "coarse"))
+    return folder, pressed(Cell(CELL, folder, released_models()))
 
 
 def test_the_recordings_of_a_cell_become_a_world_file(played, tmp_path, capsys):
@@ -170,7 +169,7 @@ def test_cells_press_again_where_the_code_that_played_them_has_changed(tmp_path,
     folders, numbers = [], []
     monkeypatch.setattr(study, "pressed", lambda cell: folders.append(cell.folder) or {"number": cell.number})
     monkeypatch.setattr(study, "scored", lambda row, _: numbers.append(row["number"]) or {"refused": "", "tier": ""})
-    words = ["scene", "judge", "--out", str(tmp_path), "--cells", "2", "--workers", "1"]
+    words = ["scene", "judge", "--out", str(tmp_path), "--cells", "2", "--layer-cells", "0", "--workers", "1"]
     for file in ("", "simulation/physics/quasistatic.py", "simulation/studies/episodes.py"):
         with monkeypatch.context() as patch:
             patch.setattr("simulation.cli.commission.identify_page", lambda _: "")
