@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 from reporting.statistics import Estimate, wilson
-from simulation.cell.config import flat
 from simulation.closed_loop.statistics import Row
 from simulation.scene.drawn import toml
 
@@ -52,8 +51,7 @@ def summary(point: Row, count: int, wanted: Wanted, *, kept: bool) -> str:
         f"  simulated, {count} insertions: {Estimate(*point['seconds_a_box']):.2f} s a box,"
         f" {wilson(point['inserted'], count):.1%} inserted, {point['claimed_wrongly']} false claims,"
         f" force below {point['force_n']['95']:.1f} N in 95 %, largest {point['force_n']['largest']:.1f} N"
-        + (f"\n  needs {point['needs']}" if point["needs"] else "")
-        + "".join(f'\n  the service needs {key} = "{value}"' for key, value in point.get("service", {}).items())
+        + "".join(f"\n  {line}" for line in _needs(point))
     )
 
 
@@ -62,6 +60,13 @@ def settings_toml(point: Row, count: int) -> str:
     seconds, share = Estimate(*point["seconds_a_box"]), wilson(point["inserted"], count)
     comment = (
         f"{point['name']}: {seconds:.2f} s a box, {share:.1%} inserted, in {count} simulated insertions.",
+        *_needs(point),
         "Where the cameras or the arm do not bear its fast legs, the descent probes all the way.",
     )
-    return toml(flat(point["client"]), "\n# ".join(comment))
+    return toml(point["client"], "\n# ".join(comment))
+
+
+def _needs(point: Row) -> list[str]:
+    """What the choice needs beside the client's settings."""
+    needs = [f"needs {point['needs']}"] if point["needs"] else []
+    return needs + [f'the service needs {key} = "{value}"' for key, value in point.get("service", {}).items()]

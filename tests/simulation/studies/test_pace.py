@@ -16,6 +16,7 @@ from robot_client.insertion.lease import Lease
 from robot_client.insertion.machine import Phase, State, step
 from robot_client.settings import load_settings
 from service.contract.shipped import released_models
+from service.contract.toml import toml_text
 from simulation.cell.config import client_config
 from simulation.closed_loop.job import Job
 from simulation.closed_loop.play import insert, models_of
@@ -181,10 +182,16 @@ def test_the_quickest_that_keeps_all_three_is_chosen_and_else_the_nearest():
 
 
 def test_settings_that_were_chosen_are_a_configuration_of_the_client(tmp_path):
-    chosen = tomllib.loads(settings_toml(point(), 48))
+    text = settings_toml(point(), 48)
     file = tmp_path / "cell.toml"
-    file.write_text(client_config(FACTS, "http://127.0.0.1:1", None, chosen=chosen))
+    file.write_text(client_config(FACTS, "http://127.0.0.1:1", None, chosen=tomllib.loads(text)))
+    played = load_settings(file)
+    with_these = {
+        key: value for key, value in tomllib.loads(file.read_text()).items() if key not in tomllib.loads(text)
+    }
+    file.write_text(toml_text(with_these) + "\n" + text)  # as an integrator does: the file's own text
     settings = load_settings(file)
+    assert settings == played
     assert (settings.pace.fast_mm_s, settings.ramps.descend.speed_mm_s) == (25.0, 10.0)
 
 
