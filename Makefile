@@ -69,6 +69,7 @@ $(DOCS_VENV)/ready $(OPS_VENV)/ready:
 
 run: $(RUN_VENV)/ready ## insert an object in the simulated cell (OBJECT= WORLD= X_MM= THETA_DEG= SEED=; OBJECT and WORLD may be TOML files; CELL=foreign: finite elements, 2.2 times too slow for real time, so in lock step)
 ifeq ($(CELL),foreign)
+	$(if $(X_MM)$(THETA_DEG),$(error CELL=foreign draws where the object is gripped: leave out X_MM and THETA_DEG, or choose another SEED))
 	@$(RUN) -m simulation evaluate --cell foreign --perception fields --count 1 --objects $(or $(OBJECT),rectangle) \
 	  $(if $(WORLD),--worlds $(WORLD)) $(if $(SEED),--seed $(SEED)) --json "$$(mktemp -d)/foreign.json"
 else
@@ -214,10 +215,10 @@ trust: $(RUN_VENV)/ready ## claims under adversity: 10,000 insertions with drawn
 drawn-worlds: $(RUN_VENV)/ready ## the closed loop in 300 drawn worlds with drawn objects, all variants: docs/drawn_worlds.md
 	$(RUN) -m simulation drawn-worlds --out runs/drawn_worlds --docs docs
 
-commissioning: $(RUN_VENV)/ready ## first days of 12 drawn cells: wiring check with each mistake, probes, adapting, work: docs/commissioning.md
-	$(RUN) -m simulation draw-worlds --count 12 --seed 51 --out runs/commissioning/worlds
-	$(RUN) -m simulation draw-objects --count 4 --seed 51 --out runs/commissioning/objects
-	$(RUN) -m simulation commission --worlds runs/commissioning/worlds --objects runs/commissioning/objects --mistakes \
+commissioning: $(VENV)/ready ## first days of 12 drawn cells: wiring check with each mistake, probes, adapting, work: docs/commissioning.md
+	$(BIN)/python -m simulation draw-worlds --count 12 --seed 51 --out runs/commissioning/worlds
+	$(BIN)/python -m simulation draw-objects --count 4 --seed 51 --out runs/commissioning/objects
+	$(BIN)/python -m simulation commission --worlds runs/commissioning/worlds --objects runs/commissioning/objects --mistakes \
 	  --seed 51 --json runs/commissioning/rows.json --docs docs
 
 identify: $(RUN_VENV)/ready ## identify gels from presses, on 60 fresh drawn cells: docs/identify.md; FIT=1 refits the released posterior

@@ -35,11 +35,13 @@ FIRST_FITTED, FIRST_LAYER, FIRST_FRESH = 1000, 7000, 920_000
 class Options:
     """Play commissioning in each world: probes of known error, adapting, and working insertions with hindsight.
 
-    Four probes first check the cell's wiring. Where they find a mistake, nothing else is played, and all counts are 0.
+    Four probes first check the cell's wiring. Where they find a mistake, nothing else is played: counts are 0, and what
+    is a mean of none is null. So it is where no insertion was blocked.
 
     JSON gets one row per world. `released`, `after_50`, `after_150` (after all probes) and `after_work` are counted on
     the same fresh insertions; where `verdicts` keep the release, its own counts are repeated. `accepted` is the verdict
-    after all probes. Played insertions are stored next to the JSON and not repeated. All figures are simulated.
+    after all probes. `robot_minutes` are those of probes and timing presses, with the ways to the fixture. Played
+    insertions are stored next to the JSON and not repeated. All figures are simulated.
     """
 
     worlds: tuple[str, ...]
@@ -160,7 +162,7 @@ class Fit(Play):
     """Fit the posterior to drawn cells, as the released one was."""
 
     cells: int = 600
-    layer_cells: int = 300
+    layer_cells: int = 200
     """further cells of the finer tier, which take three times as long"""
     to: Path = Path("runs/identify/posterior.npz")
     """file to write"""

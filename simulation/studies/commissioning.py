@@ -125,7 +125,8 @@ def commission(cell: Cell, plan: Plan) -> Row:
     """Probe, adapt and work in one cell; returns its row, see ``python -m simulation commission --help``.
 
     A cell with a mistake stops there: no version is played, and all its counts are 0. ``wired_right``: whether it has
-    none in truth. ``late``: what presses at two speeds tell; everything after them reckons with it.
+    none in truth. ``late``: what presses at two speeds tell; everything after them reckons with it. Where they tell
+    nothing, a client refuses to insert; this one is played with the lateness that the client assumes.
     """
     signs, folder = _asked_for_signs(cell, plan)
     labelled = {folder / f"{index:05d}": 1 for index in range(len(signs))}
@@ -151,7 +152,7 @@ def commission(cell: Cell, plan: Plan) -> Row:
         "after_150": row["after_50"],
         "after_work": row["released"],
         **row,
-        "robot_minutes": _minutes([*signs, *probes]),
+        "robot_minutes": _minutes([*signs, *probes, row["late"]]),
         "adapt_s": around_s + max(outcome["took_s"] for outcome in outcomes.values()),
         "accepted": outcomes.get("after_150", outcomes["after_50"])["accepted"],
         "verdicts": outcomes,

@@ -60,10 +60,11 @@ MOST_MINUTES, MOST_ADAPT_S, MOST_TRIALS = 40.0, 600.0, 2.6
 def commissioning_page(data: Row) -> str:
     """The whole of docs/commissioning.md from commissioning.json."""
     asked = [row for row in data["rows"] if row["signs_told"] and (_mistake(row) or row.get("wired_right", True))]
-    learnt = [row for row in data["rows"] if row["verdicts"] and row["released"]["direction_n"]]
+    probed = [row for row in data["rows"] if row["verdicts"] and row["released"]["direction_n"]]
+    learnt = [row for row in probed if row.get("late", {}).get("late_s", 0.0) is not None]
     return page(
         "# The first day of a cell, simulated",
-        _conclusion(asked, learnt, data.get("late", ())),
+        _conclusion(asked, probed, learnt),
         _MEASURED,
         _signs(asked),
         _left_out(data["rows"]),
@@ -74,8 +75,10 @@ def commissioning_page(data: Row) -> str:
         The release and the networks that `training adapt` makes from it, after 50 probes, after all, or with production
         insertions only, play the same fresh insertions. Where it [keeps the
         release](decisions/0096-adapting-in-stages.md), the release's figures count. The stage `around` learns from
-        [presses simulated around the cell](decisions/0180-presses-around-a-cell.md). All worlds together:
+        [presses simulated around the cell](decisions/0180-presses-around-a-cell.md).
         """,
+        _refused(len(probed) - len(learnt), len(probed)),
+        "All worlds together:",
         _pooled(learnt),
         "Each world, the smallest gain in mean trials first. What kept the release has no row of its own:",
         _worlds(learnt),
@@ -85,10 +88,10 @@ def commissioning_page(data: Row) -> str:
         The negative log likelihood covers the direction and the error; of the stages without an objection, the one with
         the lowest is accepted. Means over the attempts of all worlds after 50 probes, the best stage first:
         """,
-        _stages(learnt),
+        _stages(probed),
         "## Each decision and its reasons",
         table(
-            [{"world": row["world"], "after": name, **one} for row in learnt for name, one in row["verdicts"].items()],
+            [{"world": row["world"], "after": name, **one} for row in probed for name, one in row["verdicts"].items()],
             ("world", "world"),
             ("after", lambda one: one["after"].removeprefix("after_")),
             ("decision", lambda one: f"accepted: {one['best']}" if one["accepted"] else "; ".join(one["objections"])),
@@ -124,14 +127,13 @@ def _late(rows: Sequence[Row]) -> tuple[str, ...]:
     )
 
 
-def _conclusion(asked: Sequence[Row], learnt: Sequence[Row], late: Sequence[Row]) -> str:
+def _conclusion(asked: Sequence[Row], probed: Sequence[Row], learnt: Sequence[Row]) -> str:
     named = [(row, _mistake(row)) for row in asked]
     wrong = sum(bool(row["mistakes_named"]) for row, mistake in named if not mistake)
     good_n = sum(not mistake for _, mistake in named)
     right = sum(_rightly(row) for row, mistake in named if mistake)
-    timing_s = max((row["robot_s"] for row in late), default=0.0)
-    minutes = max((row["robot_minutes"] for row in learnt), default=0.0) + timing_s / 60.0
-    adapt_s = max((row["adapt_s"] for row in learnt), default=0.0)
+    minutes = max((row["robot_minutes"] for row in probed), default=0.0)
+    adapt_s = max((row["adapt_s"] for row in probed), default=0.0)
     checks = (
         (wrong == 0, f"{wrong} of {good_n} good cells were accused of a mistake (target: none)"),
         (
@@ -237,6 +239,16 @@ def _left_out(rows: Sequence[Row]) -> str:
 
 def _share(rows: Sequence[Row], hits: Sequence[bool]) -> Estimate:
     return wilson(sum(hits), len(rows))
+
+
+def _refused(refused_n: int, worlds_n: int) -> str:
+    """Worlds whose insertions no client would make."""
+    if not refused_n:
+        return ""
+    return (
+        f"Insertions in {refused_n} of {worlds_n} worlds do not count: presses had not told how late pictures and "
+        "arm are, so that `insert` refuses. Their probes and networks are in the tables below."
+    )
 
 
 def _pooled(learnt: Sequence[Row]) -> Table:

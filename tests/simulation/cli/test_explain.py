@@ -4,7 +4,7 @@ import numpy as np
 
 from reporting.machine import best_cpu_ms
 from simulation.cli import explain
-from simulation.cli.explain import frame_ms
+from simulation.cli.explain import cost, frame_ms, poke_ms
 from simulation.optics.appearance import Appearance
 from simulation.optics.renderer import Renderer
 from simulation.scene.worlds import load_scene
@@ -35,3 +35,10 @@ def test_effects_are_explained_at_the_speed_at_which_an_arm_descends(tmp_path, m
         explain.explain(["rectangle", "--world", str(tmp_path / "quick.toml")])
         shown.add(capsys.readouterr().out)
     assert len(shown) == 1
+
+
+def test_the_physics_of_a_lost_object_is_no_cost() -> None:
+    """Nothing is solved once it has dropped; such a poke would count as the quickest."""
+    dropped = load_scene("circle").varied({"gel.friction": 0.01, "effects.gravity": "on", "object.mass_kg": 2.0})
+    assert poke_ms(dropped) == float("inf")
+    assert cost(dropped, "gravity") == "the grasp does not hold: no cost measured"

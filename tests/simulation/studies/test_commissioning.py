@@ -19,6 +19,7 @@ from simulation.studies.wiring import MISTAKES, mistaken
 from tests.simulation.data.test_sources import as_if_changed
 
 OBJECTS = ("rectangle", "circle")
+DOCS = Path(__file__).parents[3] / "docs"
 
 
 def asked_for_signs(world: World, tmp_path) -> Row:
@@ -71,7 +72,7 @@ def test_a_grasp_of_few_probes_that_ends_late_takes_no_place_of_another(tmp_path
     monkeypatch.setattr(commissioning, "_asked_for_signs", lambda *_: (signs, tmp_path / "signs-1"))
     monkeypatch.setattr(commissioning, "named_mistakes", lambda _: [])
     monkeypatch.setattr(commissioning, "carried_out", lambda _: True)
-    monkeypatch.setattr(commissioning, "timed", lambda *_, **__: {"late_s": 0.1})
+    monkeypatch.setattr(commissioning, "timed", lambda *_, **__: {"late_s": 0.1, "robot_s": 0.0})
     monkeypatch.setattr(commissioning, "_scored", lambda *_: {})
 
     def adapted(_cell, _plan, name, episodes, _around):
@@ -167,6 +168,18 @@ def test_the_page_bears_a_run_that_only_asked_for_signs():
     assert "1 of 1 mistakes were named" in text
     untimed = commissioning_page({"note": "", "rows": rows, "late": late[2:]})
     assert "In none of 1 worlds did presses at two speeds" in untimed
+
+
+def test_insertions_of_a_cell_that_presses_could_not_time_do_not_count():
+    """`insert` refuses there."""
+    rows = [row for row in json.loads((DOCS / "commissioning.json").read_text())["rows"] if row.get("late")]
+    timed = [row for row in rows if row["late"]["late_s"] is not None][:2]
+    untimed = {**timed[1], "world": "untimed", "robot_minutes": 99.0, "late": {**timed[1]["late"], "late_s": None}}
+    before, after = (commissioning_page({"note": "", "rows": rows}) for rows in (timed, [*timed, untimed]))
+    pooled = next(line for line in before.splitlines() if line.startswith("| released | "))
+    assert pooled in after.splitlines()
+    assert "Insertions in 1 of 3 worlds do not count" in after
+    assert "at most 99.0 min of robot time" in after, "it was probed all the same"
 
 
 def test_a_world_whose_file_states_a_mistake_is_no_good_cell_that_was_accused():
