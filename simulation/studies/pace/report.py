@@ -124,7 +124,8 @@ def pace_page(data: Row) -> str:
         *Unseen*: the furthest that the arm went down between the captures of two judged frames;
         {_within_the_lease(data)}
 
-        Where the time goes, mean seconds:
+        Where the time goes, mean seconds. In lock step the service answers at once: waiting for frames, deciding and
+        confirming take none.
         """,
         parts(data),
         "What ships, by object and by world; the quantities are cut into thirds:",
