@@ -235,9 +235,9 @@ class InsertionSession:
 
     def on_camera_fault(self, code: wire.FaultCode, detail: str) -> Replies:
         """A camera failed: the client must hold, and an attempt under way needs a new reference."""
-        if self.attempt is None or not self.wants_frames:
+        if not self.wants_frames:
             return []
-        if self.attempt.stage is Stage.ARMED:
+        if self.attempt is not None and self.attempt.stage is Stage.ARMED:
             self.attempt.broken = detail
         return [self._fault(code, detail)]
 

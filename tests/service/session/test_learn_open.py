@@ -66,6 +66,26 @@ def test_why_open_gels_could_not_be_learnt_is_told_and_they_may_be_asked_for_aga
     assert [answer.type for answer in shows(session, 0, 5 * S)] == ["open_learnt"]
 
 
+@pytest.mark.parametrize("after", ["nothing", "a decided attempt"])
+@pytest.mark.parametrize("code", ["camera_lost", "internal"])
+def test_a_camera_or_a_service_that_fails_while_open_gels_are_learnt_is_named_at_once(
+    session: InsertionSession, after: str, code: wire.FaultCode
+) -> None:
+    """Two seconds later, all that would be known is that no frame has arrived."""
+    if after == "a decided attempt":
+        arm(session)
+        shows(session, 0)
+        stops(session, at_ns=PERIOD_NS)
+        session.on_tick(4 * S)
+    assert session.on_camera_fault(code, "left is gone") == []
+    learn(session, 5 * S)
+    (fault,) = session.on_camera_fault(code, "left is gone")
+    assert (fault.code, fault.fatal, fault.detail) == (code, False, "left is gone")
+    assert session.attempt is None or not session.attempt.broken
+    assert [answer.type for answer in shows(session, 0, 5 * S)] == ["open_learnt"], "it came back in time"
+    assert session.on_camera_fault(code, "left is gone") == []
+
+
 def test_a_gel_that_is_refused_is_tried_once_a_frame_and_its_cause_is_sought_at_the_end(
     session: InsertionSession,
 ) -> None:
