@@ -114,7 +114,7 @@ class Settings(BaseSettings):
     frame_rate_hz: float | None = Field(None, gt=0, le=240, description="asked of V4L2 cameras; default the sensor's")
     max_dx_mm: float = Field(15.0, gt=0, le=50, description="largest correction across the gap ever sent")
     max_dtheta_deg: float = Field(15.0, gt=0, le=45, description="largest yaw correction ever sent")
-    max_frame_age_ms: float = Field(150.0, gt=0, description="an older newest frame during a descent is a fault")
+    max_frame_age_ms: float = Field(500.0, gt=0, description="an older newest frame during a descent is a fault")
     client_timeout_s: float = Field(10.0, gt=0, description="a silent driving client is given up after this")
     reference_timeout_s: float = Field(
         2.0, gt=0, description="from arm to a reference (later is refused), and from learn_open to its answer"

@@ -17,6 +17,7 @@ from service.decision.work import check_evidence, correction, overdue, shown_tur
 from service.settings import Deadlines
 
 Decision = wire.Correction | wire.NoDecision
+FRESH_S = 0.15  # largest age of the pair that shows what the gels carry at full depth
 
 
 @dataclass(slots=True)
@@ -63,9 +64,9 @@ class Decider:
         """The decider for an insertion that continues with the same object, regrasped: it keeps the known error."""
         return replace(self, insertion_id=insertion_id, command=None, grasp=GraspRecord())
 
-    def doubts(self, attempt: Attempt, now_ns: int, max_age_ms: float) -> tuple[wire.Doubt, ...] | None:
+    def doubts(self, attempt: Attempt, now_ns: int) -> tuple[wire.Doubt, ...] | None:
         """Doubts against a claim of full depth, empty if none; None while frames may still resolve them."""
-        if newest_age_s(attempt.pushes, now_ns) * 1e3 <= max_age_ms:
+        if newest_age_s(attempt.pushes, now_ns) <= FRESH_S:
             return doubts(attempt, self.grasp)
         waited_s = _stood_s(attempt, now_ns)
         if waited_s <= self.deadlines.decision_frames_s:

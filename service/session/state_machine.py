@@ -265,7 +265,7 @@ class InsertionSession:
         if self.attempt is None or self.decider is None:
             return []
         if self.attempt.outcome == "inserted":
-            doubts = self.decider.doubts(self.attempt, now_ns, self.limits.max_frame_age_ms)
+            doubts = self.decider.doubts(self.attempt, now_ns)
             cause = unclaimed(doubts or (), afresh=self.takes_afresh)
             return [] if doubts is None else self._end(self.attempt, cause, doubts)
         decision = self.decider.conclude(self.attempt, now_ns)

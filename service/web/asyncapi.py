@@ -29,7 +29,7 @@ FRAME_LAYOUT = (
 _INSERTION: dict[str, Any] = {"insertion_id": "insertion-1"}
 _ATTEMPT: dict[str, Any] = _INSERTION | {"attempt": 1}
 _CAMERA = wire.CameraEntry(finger="left", source="v4l2:0", state="live", frame_rate_hz=60.0)
-_LIMITS = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=150.0)
+_LIMITS = wire.Limits(max_dx_mm=15.0, max_dtheta_deg=15.0, max_frame_age_ms=500.0)
 _CLOCK = wire.Clock(sent_ns=88_000_000_000, service_ns=5_000_000_000)
 _SLIP: dict[str, Any] = {"finger": "left", "frame_seq": 141, "captured_ns": 5_000_000_000, "age_ms": 6.5, "score": 1.4}
 _CORRECTION: dict[str, Any] = {

@@ -27,7 +27,6 @@ from simulation.scene.worlds import load_scene, load_world
 
 CELL_READY_S = 300.0  # the first start on a machine compiles the physics
 SERVICE_READY_S = 90.0
-FRAME_AGE_MS = 500.0  # the simulated cell computes its frames on the same cores and may pause; a real camera must not
 
 
 class RunError(ValueError):
@@ -146,7 +145,7 @@ def start_service(facts: dict[str, Any], options: LiveOptions, folder: Path, por
         *("--camera-left", facts["cameras"]["left"], "--camera-right", facts["cameras"]["right"]),
         *("--recordings", str(folder / "recordings"), "--state", str(folder / "state")),
         *("--controller", options.controller),
-        *("--frame-rate-hz", str(facts["fps"]), "--max-frame-age-ms", str(FRAME_AGE_MS)),
+        *("--frame-rate-hz", str(facts["fps"])),
     ]
     return Child("service", "service", ["run", *arguments], folder / "service.log")
 

@@ -75,7 +75,7 @@ def started(folder: Path, models_folder: Path, fingers: tuple[FakeFinger, FakeFi
     calibration = folder / "calibration.toml"
     drawn.calibration().save(calibration)
     cameras = ("--camera-left", fingers[0].url, "--camera-right", fingers[1].url)
-    options = (*cameras, "--calibration", str(calibration), "--max-frame-age-ms", "500", "--client-timeout-s", "3")
+    options = (*cameras, "--calibration", str(calibration), "--client-timeout-s", "3")
     return service_process(models_folder, folder / "recordings", *options)
 
 

@@ -110,6 +110,7 @@ def live_service(folder: Path, models: Path, **changes: object) -> Iterator[Live
     with pytest.MonkeyPatch.context() as patient:
         patient.setattr("service.cameras.capture.STALL_S", 30.0)
         patient.setattr("service.cameras.sources.READ_TIMEOUT_S", 30.0)
+        patient.setattr("service.session.decider.FRESH_S", 20.0)
         patient.setattr("service.session.station.STANDSTILL_S", 30.0)
         patient.setattr("service.cameras.sources.CONNECT_TIMEOUT_S", 10.0)
         for limit in ("SLID_MM", "ALL_LATE_MM", "BLIND_S"):  # a late stop lets the made-up object slide on

@@ -57,17 +57,17 @@ def full_depth(newest_ns: int, **changes: Any) -> Attempt:
 
 
 @pytest.mark.parametrize(("age_ms", "new_enough"), [(149.0, True), (151.0, False)])
-def test_full_depth_is_judged_by_a_pair_no_older_than_is_allowed_in_a_descent(age_ms: float, new_enough: bool) -> None:
+def test_full_depth_is_judged_by_a_pair_no_older_than_150_ms(age_ms: float, new_enough: bool) -> None:
     one = decider()
     one.grasp.width_mm = 50.0
-    doubts = one.doubts(full_depth(STOPPED_NS), STOPPED_NS + round(age_ms * MS), 150.0)
+    doubts = one.doubts(full_depth(STOPPED_NS), STOPPED_NS + round(age_ms * MS))
     assert doubts == (() if new_enough else None)
 
 
 def test_full_depth_that_nobody_saw_is_doubted_two_seconds_after_the_arm_stood_and_not_before() -> None:
     one, attempt = decider(), full_depth(STOPPED_NS - 3 * S)
-    assert one.doubts(attempt, STOPPED_NS + 1999 * MS, 150.0) is None
-    (doubt,) = one.doubts(attempt, STOPPED_NS + 2001 * MS, 150.0) or ()
+    assert one.doubts(attempt, STOPPED_NS + 1999 * MS) is None
+    (doubt,) = one.doubts(attempt, STOPPED_NS + 2001 * MS) or ()
     assert (doubt.reason, doubt.detail) == ("not_seen", "no pair showed within 2.0 s what the gels carry at full depth")
 
 

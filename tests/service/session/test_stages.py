@@ -91,7 +91,7 @@ def test_full_depth_ends_an_insertion_by_what_is_doubted_of_it(
     replies = session.handle(stopped(outcome="inserted", gripper_width_mm=49.0), 5)
     assert [(reply.outcome, reply.cause) for reply in replies] == ends
     assert [reply.doubts for reply in replies] == [doubts] * len(ends)
-    assert asked == [(session.attempt, 5, 500.0)]
+    assert asked == [(session.attempt, 5)]
     assert session.attempt is not None
     assert session.attempt.gripper_width_mm == 49.0
 
