@@ -1,6 +1,7 @@
 """Cameras by their URL: MJPEG over HTTP, a video device, a recording, frames pushed by a client."""
 
 import base64
+import contextlib
 import http.client
 import queue
 import re
@@ -13,6 +14,7 @@ from urllib.parse import SplitResult, unquote, urlsplit
 
 from service.cameras.capture import CameraError, Capture, Source, capture_ns, now_ns
 from service.cameras.recorded import RecordingSource
+from service.cameras.silence import check_silence
 from service.cameras.v4l2 import V4l2Source, device_of
 from service.contract import TactileFrame
 from service.contract.refusals import nearest
@@ -20,7 +22,6 @@ from service.contract.text import split_address, without_secrets
 
 CONNECT_TIMEOUT_S = 0.6  # with the pause between tries, a returned camera is noticed within 1 s
 READ_TIMEOUT_S = 1.0
-SILENT_S = 0.2  # at 10 mm/s, pictures that are late by less take less than the motion lease allows
 MAX_JPEG_BYTES = 4 << 20
 _LENGTH = re.compile(rb"(?im)^content-length:\s*(\d+)")
 _STAMP = re.compile(rb"(?im)^x-timestamp:\s*(\d+)\.(\d{1,9})\s*$")
@@ -35,8 +36,8 @@ class MjpegSource:
     trusted at any age, because a delayed picture must not pass for a fresh one.
 
     Without such stamps a picture counts as taken when it arrives, so none that waited may pass for a fresh one either:
-    of several complete parts only the newest is yielded. After `SILENT_S` the pictures may be late from then on, and
-    so may those of a stream whose stamps cease: it is lost, and reopened.
+    of several complete parts only the newest is yielded. After a silence the pictures may be late from then on, and so
+    may those of a stream whose stamps cease: it is lost, and reopened.
     """
 
     def __init__(self, url: str) -> None:
@@ -102,9 +103,8 @@ class _Stream:
         data = self._response.read1(1 << 16)
         self.held += data
         last_ns, self._read_ns = self._read_ns, now_ns()
-        silent_s = (self._read_ns - last_ns) / 1e9
-        if self.silence_matters and silent_s > SILENT_S:
-            raise CameraError(f"nothing was read for {silent_s:.1f} s: without stamps, what waited may be old")
+        if self.silence_matters:
+            check_silence(last_ns, self._read_ns)
         return bool(data)
 
     def holds_another(self, boundary: re.Pattern[bytes]) -> bool:
@@ -180,41 +180,48 @@ def header_stamp_ns(header: bytes, arrived_ns: int, *, same_clock: bool = False)
 
 
 class PushSource:
-    """Frames that a client sends to the service; the newest few are kept, stamped on arrival."""
+    """Frames that a client sends to the service, stamped on arrival; of those that wait, the newest is kept.
+
+    After a silence they may be late from then on: the camera is lost, and its client has to connect again.
+    """
 
     name = "push:"
 
     def __init__(self) -> None:
-        self._queue: queue.Queue[Capture] = queue.Queue(maxsize=4)
+        self._queue: queue.Queue[Capture] = queue.Queue(maxsize=1)
         self._pusher = threading.Lock()
+        self._pushed_ns: int | None = None
 
     def claim(self) -> bool:
         """Become the only client that pushes; False while there is another."""
-        return self._pusher.acquire(blocking=False)
+        if not self._pusher.acquire(blocking=False):
+            return False
+        self._pushed_ns = None
+        return True
 
     def release(self) -> None:
         self._pusher.release()
 
     def push(self, frame: TactileFrame) -> None:
-        """Offer a frame; the oldest waiting one is dropped if the reader is behind."""
+        """Offer a frame in place of one that waits; raises CameraError after a silence of the client."""
         capture = Capture(now_ns(), frame.pixels)
-        while True:
-            try:
-                self._queue.put_nowait(capture)
-                return
-            except queue.Full:
-                try:
-                    self._queue.get_nowait()
-                except queue.Empty:
-                    continue
+        check_silence(self._pushed_ns, capture.captured_ns)
+        self._pushed_ns = capture.captured_ns
+        with contextlib.suppress(queue.Empty):
+            self._queue.get_nowait()
+        self._queue.put_nowait(capture)
 
     def frames(self, stop: threading.Event) -> Iterator[Capture]:
-        """Yield pushed frames; never ends by itself (a silent client shows as a stall)."""
+        """Yield pushed frames; raises CameraError at the first one after a silence, which itself shows as a stall."""
+        last_ns: int | None = None
         while not stop.is_set():
             try:
-                yield self._queue.get(timeout=0.1)
+                capture = self._queue.get(timeout=0.1)
             except queue.Empty:
                 continue
+            check_silence(last_ns, capture.captured_ns)
+            last_ns = capture.captured_ns
+            yield capture
 
 
 def open_source(url: str, *, frame_rate_hz: float = 30.0) -> Source:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from service.cameras.capture import CameraError, Capture, capture_ns, now_ns
+from service.cameras.silence import check_silence
 
 BUFFERS_N = 2  # the driver fills one while the other is read; with a single one it may leave out every second picture
 
@@ -41,7 +42,8 @@ class V4l2Source:
     """A video device, read through OpenCV; stamped with the driver's buffer time.
 
     The driver stamps the beginning or end of a frame's arrival, on the monotonic clock if it states one
-    (V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC, as UVC does). A stamp of another clock is replaced by the time of reading.
+    (V4L2_BUF_FLAG_TIMESTAMP_MONOTONIC, as UVC does). A stamp of another clock is replaced by the time of reading;
+    after a silence, during which the driver may have kept pictures, such a device is lost, and opened again.
     """
 
     def __init__(self, device: str, frame_rate_hz: float) -> None:
@@ -58,20 +60,24 @@ class V4l2Source:
                 raise CameraError(f"cannot open {self._device}: {self._obstacle()}")
             capture.set(cv2.CAP_PROP_FPS, self._frame_rate_hz)
             capture.set(cv2.CAP_PROP_BUFFERSIZE, BUFFERS_N)
-            same_clock = began = False
+            same_clock = False
+            last_ns: int | None = None
             while not stop.is_set():
                 grabbed, pixels = capture.read()
-                if not grabbed and not began:
+                if not grabbed and last_ns is None:
                     raise CameraError(
                         f"{self._device} opens and gives no picture: another program may read it, or its USB controller"
                         " has no room for another camera"
                     )
                 if not grabbed:
                     return
-                began, read_ns = True, now_ns()
+                read_ns = now_ns()
                 driver_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
                 stamp_ns = capture_ns(driver_ns, read_ns, same_clock=same_clock)
                 same_clock = same_clock or stamp_ns != read_ns
+                if not same_clock:
+                    check_silence(last_ns, read_ns)
+                last_ns = read_ns
                 yield Capture(stamp_ns, np.asarray(pixels, np.uint8))
         finally:
             capture.release()

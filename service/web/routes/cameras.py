@@ -11,7 +11,8 @@ import cv2
 from fastapi import APIRouter, HTTPException, Query, WebSocket, WebSocketDisconnect
 from fastapi.responses import StreamingResponse
 
-from service.cameras.capture import CameraFrame
+from service.cameras.capture import CameraError, CameraFrame
+from service.cameras.sources import PushSource
 from service.contract import ContractError, Finger, decode_frame, encode_frame
 from service.contract.frames import Contract
 from service.contract.wire import CameraEntry
@@ -174,14 +175,23 @@ async def _take_in(socket: WebSocket, station: Station, finger: Finger) -> None:
         await close(socket, Ending(TRY_AGAIN_LATER, f"another client pushes the {finger} camera"))
         return
     try:
+        ending = await _pushed(socket, source, finger)
+    finally:
+        source.release()  # before the close, on which its client may connect again at once
+    await close(socket, ending)
+
+
+async def _pushed(socket: WebSocket, source: PushSource, finger: Finger) -> Ending:
+    """Take frames in until one is refused; what else waits on the connection is lost with it."""
+    try:
         while True:
             frame = decode_frame(await socket.receive_bytes())
             if frame.finger != finger:
                 raise ContractError(f"a frame of the {frame.finger} finger, expected {finger}")
             source.push(frame)
     except KeyError:
-        await close(socket, Ending(UNSUPPORTED, "a text message, expected binary frames"))
+        return Ending(UNSUPPORTED, "a text message, expected binary frames")
+    except CameraError as error:
+        return Ending(TRY_AGAIN_LATER, str(error))
     except ContractError as error:
-        await close(socket, Ending(UNSUPPORTED, str(error)))
-    finally:
-        source.release()
+        return Ending(UNSUPPORTED, str(error))

@@ -211,20 +211,45 @@ def test_a_source_that_fails_is_tried_again_four_times_a_second() -> None:
     assert all(b - a >= RETRY_S for a, b in itertools.pairwise(tries))
 
 
-def test_the_newest_pushed_frames_are_kept_and_one_client_pushes() -> None:
+def push(source: PushSource, grey: int) -> None:
+    source.push(TactileFrame("left", grey, 0, np.full((4, 4, 3), grey, np.uint8)))
+
+
+def shown(capture: Capture) -> int:
+    return int(capture.image()[0, 0, 0])
+
+
+def test_of_pushed_frames_that_wait_the_newest_is_kept_and_one_client_pushes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("service.cameras.silence.SILENT_S", 30.0)  # of a busy machine
     source = PushSource()
-    for seq in range(10):
-        source.push(TactileFrame("left", seq, 0, np.full((4, 4, 3), seq, np.uint8)))
-    stop = threading.Event()
-    kept = []
-    for capture in source.frames(stop):
-        kept.append(int(capture.pixels[0, 0, 0]))
-        if len(kept) == 4:
-            stop.set()
-    assert kept == [6, 7, 8, 9]
+    captures = source.frames(threading.Event())
+    for first in (0, 10):
+        for grey in range(first, first + 10):
+            push(source, grey)
+        assert shown(next(captures)) == first + 9
     assert (source.claim(), source.claim()) == (True, False)
     source.release()
     assert source.claim()
+
+
+def test_after_a_silence_pushed_frames_are_refused_until_their_client_has_connected_again() -> None:
+    """They are stamped when they arrive, and may have waited on the way by as much as nothing came."""
+    source = PushSource()
+    captures = source.frames(threading.Event())
+    assert source.claim()
+    push(source, 0)
+    assert shown(next(captures)) == 0
+    time.sleep(0.25)
+    for grey in (1, 2):
+        with pytest.raises(CameraError, match=r"nothing was read for 0\.\d s: without stamps, what waited may be old"):
+            push(source, grey)
+    source.release()
+    assert source.claim()
+    push(source, 3)
+    with pytest.raises(CameraError, match="what waited may be old"):
+        next(captures)
+    push(source, 4)
+    assert shown(next(source.frames(threading.Event()))) == 4, "to the camera, which is opened again, it is a first one"
 
 
 def test_a_recording_plays_and_an_absent_one_says_so(tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def unstamped_camera(padding_n: int = 0) -> Iterator[tuple[str, Callable[[int], 
 @pytest.mark.parametrize("padding_n", [0, 60_000])
 def test_pictures_without_stamps_that_waited_are_dropped(padding_n: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Read at once, all are yielded; of those that arrived while nobody read, only the newest, however large."""
-    monkeypatch.setattr("service.cameras.sources.SILENT_S", 30.0)  # of a busy machine
+    monkeypatch.setattr("service.cameras.silence.SILENT_S", 30.0)  # of a busy machine
     with unstamped_camera(padding_n) as (url, send):
         captures = MjpegSource(url).frames(threading.Event())
         for k in range(3):

@@ -2,6 +2,7 @@
 
 import itertools
 import threading
+import time
 from pathlib import Path
 
 import cv2
@@ -65,6 +66,31 @@ def test_a_video_device_gives_its_frames_and_is_given_back_when_unplugged(
     )
     assert device.set_to[cv2.CAP_PROP_FPS] == 60.0
     assert device.set_to[cv2.CAP_PROP_BUFFERSIZE] >= 2, "one is filled while the other is read"
+    assert device.released
+
+
+class WallClock(Device):
+    """A driver that stamps with another clock than this machine's monotonic one."""
+
+    def get(self, key: int) -> float:
+        return super().get(key) + 1.7e12
+
+
+@pytest.mark.parametrize(("kind", "lost"), [(Device, False), (WallClock, True)])
+def test_after_a_silence_a_device_is_opened_again_unless_its_stamps_tell_how_old_its_pictures_are(
+    kind: type[Device], lost: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The driver's buffers keep their pictures while nobody reads them."""
+    device = kind(5)
+    plugged(monkeypatch, device)
+    captures = open_source("v4l2:2").frames(threading.Event())
+    next(captures)
+    time.sleep(0.25)
+    if not lost:
+        assert next(captures).captured_ns < device.read_ns
+        return
+    with pytest.raises(CameraError, match="without stamps, what waited may be old"):
+        next(captures)
     assert device.released
 
 

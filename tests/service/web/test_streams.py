@@ -2,7 +2,9 @@
 
 import collections
 import contextlib
+import itertools
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from service.settings import Settings
 from tests.service.client import greeted
 from tests.service.conftest import LiveService, bearer, served
 from tests.service.process import service_process
+from tests.waiting import wait_for
 
 
 @pytest.fixture
@@ -34,7 +37,10 @@ def picture(finger: Finger, seq: int) -> TactileFrame:
     return TactileFrame(finger, seq, seq, pixels)
 
 
-def test_what_is_pushed_in_comes_out_bit_for_bit(pushed: tuple[Station, str, dict[str, str]]) -> None:
+def test_what_is_pushed_in_comes_out_bit_for_bit(
+    pushed: tuple[Station, str, dict[str, str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.cameras.silence.SILENT_S", 30.0)  # of a busy machine
     station, base, token = pushed
     for finger in FINGERS:
         with (
@@ -79,6 +85,32 @@ def test_one_client_pushes_a_camera(pushed: tuple[Station, str, dict[str, str]])
         assert "another client pushes the left camera" in no.value.rcvd.reason
         with connect(f"{base}/v1/cameras/right/push", additional_headers=token, compression=None) as other:
             other.send(encode_frame(picture("right", 0)))
+
+
+def test_who_pushes_after_a_silence_is_sent_off_and_taken_again(
+    pushed: tuple[Station, str, dict[str, str]],
+) -> None:
+    """What waited on the way passes for fresh on no connection; a new one has nothing that waits."""
+    station, base, token = pushed
+    camera, url = station.cameras["left"], f"{base}/v1/cameras/left/push"
+    with connect(url, additional_headers=token, compression=None) as into:
+        into.send(encode_frame(picture("left", 0)))
+        wait_for(lambda: camera.frames_n == 1)
+        time.sleep(0.25)
+        into.send(encode_frame(picture("left", 1)))
+        with pytest.raises(ConnectionClosed) as closed:
+            into.recv(20)
+    assert closed.value.rcvd.code == 1013
+    assert "without stamps, what waited may be old" in closed.value.rcvd.reason
+    assert camera.frames_n == 1
+    seqs = itertools.count(100)
+    while camera.frames_n == 1:  # a busy machine may be silent once more
+        with contextlib.suppress(ConnectionClosed), connect(url, additional_headers=token, compression=None) as again:
+            while camera.frames_n == 1:
+                again.send(encode_frame(picture("left", next(seqs))))
+                time.sleep(0.02)
+    assert camera.state == "live"
+    assert "without stamps, what waited may be old" in camera.last_fault, "whose insertion heard of it"
 
 
 def test_a_camera_of_its_own_takes_no_pushed_frames(live: LiveService) -> None:
