@@ -236,10 +236,11 @@ def _held_out_parts(data: dict[str, Any]) -> Iterator[str | Table]:
         )
 
 
-def _table(rows: Rows, first: str = "pressed") -> Table:
+def _table(rows: Rows, *more: tuple[str, str, str], first: str = "pressed") -> Table:
     return table(
         rows.items(),
         (first, lambda row: row[0].replace("nothing told", "no conditions given")),
+        *more,
         ("decisions", "1.trials", ".0f"),
         ("direction", lambda row: wilson(row[1]["accuracy"] * row[1]["trials"], int(row[1]["trials"])), ".1%"),
         ("MAE x mm", "1.mae_x_mm", ".2f"),
