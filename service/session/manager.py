@@ -38,14 +38,9 @@ from service.session.state_machine import InsertionSession, ignore
 from service.settings import Settings
 from service.versions.versions import Versions
 
-VERSIONS = {
-    "service": __version__,
-    "protocol": str(wire.PROTOCOL),
-    "python": platform.python_version(),
-    "numpy": np.__version__,
-    "onnxruntime": onnxruntime.__version__,
-    "opencv": cv2.__version__,
-}
+LIBRARIES = {"numpy": np, "onnxruntime": onnxruntime, "opencv": cv2}
+VERSIONS = {"service": __version__, "protocol": str(wire.PROTOCOL), "python": platform.python_version()}
+VERSIONS |= {name: library.__version__ for name, library in LIBRARIES.items()}
 CHARTS = "charts.json"
 REMEMBERED_N = 256  # ended insertions whose `finished` is sent again to a client that missed it
 
@@ -258,14 +253,16 @@ class InsertionManager:
         insertion = ended.pop()
         how = finished.model_dump(mode="json", include={"outcome", "cause", "attempts", "doubts"}) | insertion.facts
         if recorder := insertion.recorder:
-            recorder.close(how)
+            if not recorder.close(how).is_file():  # the disk took no more; a part is left for a recovery
+                finished = self.ended[finished.insertion_id] = finished.model_copy(update={"recording": None})
             self.frames_unrecorded_n += recorder.left_out_n
             self._note_recorded(_lacks(recorder, recorder.problem))
         insertion.session.on_attempt = ignore  # a session that knows its insertion is freed late, and it is large
         if insertion.send:
             insertion.send(finished)
         self.hub.publish("recorded", finished)
-        self._learn(insertion, finished)
+        if recorder and not recorder.error:  # what is not recorded is no evidence
+            self._learn(insertion, finished)
         self._chart({"insertion_id": finished.insertion_id, **how}, insertion.session.models)
         del insertion
         give_back()

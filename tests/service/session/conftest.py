@@ -6,6 +6,7 @@ import pytest
 from service.decision.models import ModelSet
 from service.session.station import Station
 from service.settings import Settings
+from tests.service.session.driving import Cell, wait_for_recorders
 
 
 @pytest.fixture
@@ -15,3 +16,11 @@ def idle(tmp_path: Path, models: ModelSet) -> Iterator[Station]:
     station = Station(settings, models, None)
     yield station
     station._networks.shutdown()
+
+
+@pytest.fixture
+def cell(tmp_path: Path, models: ModelSet) -> Iterator[Cell]:
+    made = Cell(tmp_path, models)
+    yield made
+    made.manager.abort("operator", "test over")
+    wait_for_recorders()

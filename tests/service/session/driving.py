@@ -52,6 +52,35 @@ class Client:
         return self.heard[-1]
 
 
+class Cell:
+    """A manager with its hub's events, and a client that drives."""
+
+    def __init__(self, folder: Path, models: ModelSet, **settings: Any) -> None:
+        usual = {"models": folder, "camera_left": "push:", "camera_right": "push:", "recordings": folder / "r"}
+        entry = wire.CameraEntry(finger="left", source="x", state="live", frame_rate_hz=30.0)
+        cameras: Any = {finger: SimpleNamespace(latest=None, entry=entry) for finger in FINGERS}
+        self.events: list[tuple[str, Any]] = []
+        hub = Hub()
+        hub.subscribe(lambda kind, content: self.events.append((kind, content)))
+        (folder / "r").mkdir(exist_ok=True)
+        self.manager = InsertionManager(Settings(**usual | settings), models, None, cameras, hub, lambda _: None)
+        self.client = Client(self.manager)
+
+    def ends(self, insertion_id: str, *messages: Any, **hello: Any) -> Client:
+        """An insertion that is opened and aborted after these messages; its client."""
+        client = Client(self.manager)
+        self.manager.connect(wire.ClientHello(insertion_id=insertion_id, client="test", **hello), client.send)
+        for message in messages:
+            self.manager.receive(message, client.send)
+        self.manager.abort("operator", "done")
+        wait_for_recorders()
+        return client
+
+    @property
+    def kinds(self) -> list[str]:
+        return [kind for kind, _ in self.events]
+
+
 def wait_for_recorders() -> None:
     for thread in threading.enumerate():
         if thread.name in {"recorder", "close-recording"}:

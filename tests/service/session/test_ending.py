@@ -2,7 +2,6 @@
 
 import json
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,52 +10,14 @@ import numpy as np
 import pytest
 
 from service.cameras.capture import CameraFrame
-from service.contract import FINGERS, TactileFrame, wire
+from service.contract import TactileFrame, wire
 from service.decision.models import ModelSet
 from service.observability.hub import Hub
 from service.session import manager as under_test
 from service.session.insertion import Insertion
 from service.session.manager import InsertionManager
-from service.settings import Settings
 from tests.service import drawn
-from tests.service.session.driving import Client, arm, wait_for_recorders
-
-
-class Cell:
-    """A manager with its hub's events, and a client that drives."""
-
-    def __init__(self, folder: Path, models: ModelSet, **settings: Any) -> None:
-        usual = {"models": folder, "camera_left": "push:", "camera_right": "push:", "recordings": folder / "r"}
-        entry = wire.CameraEntry(finger="left", source="x", state="live", frame_rate_hz=30.0)
-        cameras: Any = {finger: SimpleNamespace(latest=None, entry=entry) for finger in FINGERS}
-        self.events: list[tuple[str, Any]] = []
-        hub = Hub()
-        hub.subscribe(lambda kind, content: self.events.append((kind, content)))
-        (folder / "r").mkdir(exist_ok=True)
-        self.manager = InsertionManager(Settings(**usual | settings), models, None, cameras, hub, lambda _: None)
-        self.client = Client(self.manager)
-
-    def ends(self, insertion_id: str, *messages: Any, **hello: Any) -> Client:
-        """An insertion that is opened and aborted after these messages; its client."""
-        client = Client(self.manager)
-        self.manager.connect(wire.ClientHello(insertion_id=insertion_id, client="test", **hello), client.send)
-        for message in messages:
-            self.manager.receive(message, client.send)
-        self.manager.abort("operator", "done")
-        wait_for_recorders()
-        return client
-
-    @property
-    def kinds(self) -> list[str]:
-        return [kind for kind, _ in self.events]
-
-
-@pytest.fixture
-def cell(tmp_path: Path, models: ModelSet) -> Iterator[Cell]:
-    made = Cell(tmp_path, models)
-    yield made
-    made.manager.abort("operator", "test over")
-    wait_for_recorders()
+from tests.service.session.driving import Cell, Client, wait_for_recorders
 
 
 def test_what_belongs_to_an_insertion_reaches_it(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -197,53 +158,6 @@ def test_recordings_that_cannot_be_removed_are_no_secret(cell: Cell, monkeypatch
     cell.ends("one")
     assert cell.events[-1][0] == "error"
     assert cell.events[-1][1].startswith("no old recording can be removed: ")
-
-
-class OtherVersions:
-    """Versions as the manager sees them."""
-
-    def __init__(self, active: ModelSet) -> None:
-        self.active, self.learnt, self.asked = active, list[Any](), list[Any]()
-        self.fails = False
-
-    def beside(self, deciding: Any, *_: Any) -> Any:
-        self.asked.append(deciding)
-        return SimpleNamespace(active="a", decide=lambda _: {})
-
-    def learn(self, _beside: Any, finished: wire.Finished, of: str, *, fresh: bool, tried_n: int) -> None:
-        if self.fails:
-            raise OSError("disk")
-        self.learnt.append((finished.insertion_id, of, fresh))
-        assert tried_n == 0
-
-
-def test_the_version_that_decides_now_begins_an_insertion_and_the_one_before_goes_on_with_its_own(
-    cell: Cell, models: ModelSet
-) -> None:
-    first, second = (ModelSet(models.steps, models.models) for _ in range(2))
-    versions = OtherVersions(first)
-    cell.manager.versions = versions  # type: ignore[assignment]
-    cell.ends("one", arm())
-    versions.active = second
-    cell.ends("two", continues="one")
-    here = wire.ToolPose(x_mm=0, y_mm=0, z_mm=0, yaw_deg=0)
-    cell.ends("three", wire.Episode(insertion_id="three", object="box", start=here, approach=here))
-    assert [id(deciding) for deciding in versions.asked] == [id(first), id(first), id(second)]
-    assert versions.learnt == [("one", "", True), ("two", "", False), ("three", "box", True)]
-    versions.fails = True
-    assert cell.ends("four").heard[-1].type == "finished"
-    assert ("error", "versions: disk") in cell.events
-
-
-def test_insertions_without_a_recording_are_no_evidence_for_a_version(
-    cell: Cell, tmp_path: Path, models: ModelSet
-) -> None:
-    (tmp_path / "r").rmdir()
-    (tmp_path / "r").write_text("a file where the folder was")
-    versions = OtherVersions(models)
-    cell.manager.versions = versions  # type: ignore[assignment]
-    cell.ends("one")
-    assert (versions.asked, versions.learnt) == ([], [])
 
 
 def test_an_alarm_of_the_charts_is_told_with_its_remedy_and_a_chart_that_cannot_be_kept_with_its_error(
