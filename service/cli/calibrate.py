@@ -1,11 +1,14 @@
 """`python -m service calibrate`: fit the rectification of both cameras, or measure one picture of a resting gel."""
 
 import argparse
+import contextlib
 import json
 import shutil
+import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TextIO
 
 import cv2
 import numpy as np
@@ -30,12 +33,16 @@ from service.tools.calibrate import (
 )
 from service.tools.calibration_output import figures, profile_of, residual_map, save_profile
 
+STDOUT = Path("-")
+
 
 def main(arguments: Sequence[str]) -> int:
     """Fit both fingers, or one picture; raises CalibrationError or CameraError naming the fault."""
     options = _parse(arguments)
     if options.picture is not None:
-        return _measure(options)
+        out = sys.stdout
+        with contextlib.redirect_stdout(sys.stderr if options.json == STDOUT else out):
+            return _measure(options, out)
     if options.camera_left is None or options.camera_right is None:
         raise CalibrationError("expected --camera-left and --camera-right, or --picture")
     sensor: Sensor | None = None if options.new_profile else _sensor(options.sensor)
@@ -66,7 +73,7 @@ def _kept(path: Path) -> Path | None:
     return Path(shutil.copy2(path, earlier))
 
 
-def _measure(options: argparse.Namespace) -> int:
+def _measure(options: argparse.Namespace, out: TextIO) -> int:
     """Measure how well the markers of one picture fit the model; the row is written even if it is refused."""
     path: Path = options.picture
     name = options.sensor if options.new_profile is None else options.new_profile.stem
@@ -79,10 +86,10 @@ def _measure(options: argparse.Namespace) -> int:
         fit = rectify(picture, grid, own)
     except (ContractError, CalibrationError) as error:
         nothing = {"residual_px": None, "rows": 0, "columns": 0, "found_share": 0.0, "refused": str(error)}
-        _write(options.json, {"picture": path.name, "sensor": name, **nothing})
+        _write(options.json, {"picture": path.name, "sensor": name, **nothing}, out)
         raise
     refused = refusal(fit, sensor)
-    _write(options.json, {"picture": path.name, "sensor": sensor.name, **figures(fit, refused)})
+    _write(options.json, {"picture": path.name, "sensor": sensor.name, **figures(fit, refused)}, out)
     print(_line(path.name, fit, own) + ("" if refused is None else f"\nno calibration of {sensor.name}: {refused}"))
     _draw(options.pictures, path.stem, picture, fit)
     return 0
@@ -135,10 +142,13 @@ def _draw(folder: Path | None, name: str, image: np.ndarray, fit: Fit) -> None:
         cv2.imwrite(str(folder / f"{name}_residual.png"), residual_map(image, fit))
 
 
-def _write(path: Path | None, row: dict[str, object]) -> None:
-    if path is not None:
+def _write(path: Path | None, row: dict[str, object], out: TextIO) -> None:
+    text = json.dumps(row, indent=1) + "\n"
+    if path == STDOUT:
+        out.write(text)
+    elif path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -150,7 +160,8 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--picture", type=Path, help="measure this picture of a resting gel instead, write no calibration"
     )
-    parser.add_argument("--json", type=Path, help="with --picture: file for residual_px, rows, columns, found_share")
+    row_help = "with --picture: file for residual_px, rows, columns, found_share; without one they go to stdout alone"
+    parser.add_argument("--json", nargs="?", type=Path, const=STDOUT, metavar="FILE", help=row_help)
     parser.add_argument("--sensor", default=DEFAULT_SENSOR, help="name or TOML profile of the sensor (%(default)s)")
     parser.add_argument("--new-profile", type=Path, metavar="TOML", help="count the markers, write this profile")
     parser.add_argument("--pitch-mm", type=float, default=1.5, help="with --new-profile: distance of its markers (1.5)")
@@ -163,5 +174,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     if options.new_profile is None and (options.up or options.fps):
         raise CalibrationError("--up and --fps describe a new profile: expected with --new-profile TOML")
+    if options.picture is None and options.json:
+        raise CalibrationError("--json takes the figures of one picture: expected with --picture FILE")
     options.up, options.fps = options.up or "top", options.fps or 30
     return options

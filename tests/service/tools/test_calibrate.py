@@ -130,6 +130,30 @@ def test_a_picture_is_measured_into_a_row_of_figures(tmp_path):
     assert figures["found_share"] > 0.95
 
 
+def test_without_a_file_the_row_is_all_that_stands_on_stdout(tmp_path, capsys):
+    picture, profile = tmp_path / "a.png", tmp_path / "mine.toml"
+    cv2.imwrite(str(picture), still(renderer("left", 1)))
+    assert main(["calibrate", "--picture", str(picture), "--sensor", "gelslim_2019", "--json"]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["refused"] is None
+    assert "21 x 20 markers" in printed.err
+    assert main(["calibrate", "--json", "--picture", str(picture), "--new-profile", str(profile)]) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["sensor"] == "mine"
+    assert f"wrote {profile}" in printed.err
+    cv2.imwrite(str(picture), np.full((240, 320, 3), 120, np.uint8))
+    assert main(["calibrate", "--picture", str(picture), "--json"]) == 2
+    printed = capsys.readouterr()
+    assert "no marker grid" in json.loads(printed.out)["refused"]
+    assert "no marker grid" in printed.err
+
+
+def test_figures_are_asked_for_of_a_picture_only(tmp_path, capsys):
+    cameras = [f"--camera-{finger}=file:{tmp_path}" for finger in FINGERS]
+    assert main(["calibrate", *cameras, "--json"]) == 2
+    assert "--json takes the figures of one picture: expected with --picture FILE" in capsys.readouterr().err
+
+
 def test_a_picture_without_markers_is_named_as_such(tmp_path, capsys):
     picture, row = tmp_path / "a.png", tmp_path / "a.json"
     cv2.imwrite(str(picture), np.full((240, 320, 3), 120, np.uint8))
