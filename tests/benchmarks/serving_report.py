@@ -51,6 +51,7 @@ def serving_page(facts: dict[str, Any]) -> str:
     )
 
 
+MANY_N = 300  # values that show a 99 % quantile: three lie beyond it
 REACHED = {True: "yes", False: "**no**", None: "not measured"}
 
 
@@ -62,8 +63,10 @@ def _rows(name: str, make: Any, figures: dict[str, Any] | None) -> list[Row]:
 
 
 def both(ours: dict[str, float], theirs: dict[str, float]) -> str:
-    """Two medians with their 99 % quantiles."""
-    return f"{ours['p50_ms']:.1f} / {theirs['p50_ms']:.1f} ms (p99 {ours['p99_ms']:.0f} / {theirs['p99_ms']:.0f})"
+    """Two medians with their 99 % quantiles; of few values with the largest, where it was kept."""
+    title, name = ("p99", "p99_ms") if min(ours["n"], theirs["n"]) >= MANY_N else ("largest", "most_ms")
+    tail = f"; {title} {ours[name]:.0f} / {theirs[name]:.0f}" if name in ours and name in theirs else ""
+    return f"{ours['p50_ms']:.1f} / {theirs['p50_ms']:.1f} ms (n = {ours['n']} / {theirs['n']}{tail})"
 
 
 def _websocket(figures: dict[str, Any]) -> list[Row]:
