@@ -1,10 +1,19 @@
 """Versions that run beside the active one in an insertion: the same evidence, their own answers, no motion."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from service.contract.wire import ControllerName, Correction, Limits
+from service.contract.wire import (
+    Cause,
+    ControllerName,
+    Correction,
+    DoubtReason,
+    Finished,
+    Limits,
+    NoDecision,
+    NoDecisionReason,
+)
 from service.contract.wire_parts import errors_left
 from service.decision.attempt import Attempt
 from service.decision.belief import BeliefGrid
@@ -14,6 +23,12 @@ from service.decision.models import ModelSet
 from service.decision.work import check_evidence, decide_again
 from service.versions.contest import Held, intervals_hold, log_score
 
+BLAMED: frozenset[Cause] = frozenset({"attempts", "no_decision", "not_confirmed"})
+"""Causes of an end that decisions may be responsible for."""
+UNBLAMED: frozenset[DoubtReason | NoDecisionReason] = frozenset(
+    {"neighbours", "not_seen", "width", "order", "depth", "no_motion", "stale", "too_few_frames"}
+)
+"""Doubts of full depth, and reasons for no decision, that the cell, its cameras or its client cause."""
 Move = tuple[float, float]
 
 
@@ -22,8 +37,9 @@ class Beside:
     """Answers of versions in one insertion; of ``networks`` by version the ``active`` one decides it.
 
     Each version has its own belief, updated with the moves that were made, and so predicts whether the next attempt
-    inserts. ``scores``: the quality of these predictions, in order of the attempts. Not thread safe: the recorder's
-    thread calls :meth:`decide`; the other methods are called after it has ended.
+    inserts. ``scores``: the quality of these predictions, in order of the attempts. ``undecided``: why the active one
+    decided nothing, since its last correction. Not thread safe: the recorder's thread calls :meth:`decide`; the other
+    methods are called after it has ended.
     """
 
     active: str
@@ -31,6 +47,7 @@ class Beside:
     limits: Limits
     controller: ControllerName
     scores: list[dict[str, float]] = field(default_factory=list)
+    undecided: list[NoDecisionReason] = field(default_factory=list)
     _beliefs: dict[str, Belief] = field(default_factory=dict)
     _chances: dict[str, float] = field(default_factory=dict)
     _first: dict[str, Evidence | None] = field(default_factory=dict)
@@ -43,6 +60,9 @@ class Beside:
         decision, made = attempt.decision, (0.0, 0.0)
         if isinstance(decision, Correction):
             made = decision.dx_mm, decision.dtheta_deg
+            self.undecided.clear()
+        elif isinstance(decision, NoDecision):
+            self.undecided.append(decision.reason)
         felt, answers = dict[str, Evidence | None](), dict[str, Any]()
         for name in self.networks:
             evidence, refusal = self._evidence(name, attempt)
@@ -100,6 +120,12 @@ class Beside:
             return {}
         error = errors_left(self._moves)[0]
         return {name: intervals_hold(evidence, error) for name, evidence in self._first.items()}
+
+    def blamed(self, finished: Finished) -> bool:
+        """Whether decisions of the active version may be responsible for an insertion that failed."""
+        doubted = [doubt.reason for doubt in finished.doubts]
+        why: Sequence[DoubtReason | NoDecisionReason] = self.undecided if finished.cause == "no_decision" else doubted
+        return finished.cause in BLAMED and (not why or any(reason not in UNBLAMED for reason in why))
 
 
 def _facts(evidence: Evidence, command: Command) -> dict[str, Any]:

@@ -8,17 +8,13 @@ from typing import Any, NamedTuple
 import structlog
 
 from service.contract.frames import Contract, ContractError
-from service.contract.wire import Cause, ControllerName, DoubtReason, Finished, Limits
+from service.contract.wire import ControllerName, Finished, Limits
 from service.decision.models import ModelSet, load_models
 from service.versions.beside import Beside
 from service.versions.contest import ENOUGH, FAILED, Contest, Role
 from service.versions.gels import Gels, unlike_gels
 from service.versions.store import WIRING, Store, Wiring, check_served, version_of
 
-BLAMED: frozenset[Cause] = frozenset({"attempts", "no_decision", "not_confirmed"})
-"""Causes of an end that decisions may be responsible for."""
-UNBLAMED: frozenset[DoubtReason] = frozenset({"neighbours", "not_seen", "width", "order", "depth"})
-"""Doubts of full depth that the cell, its cameras or its client cause."""
 Publish = Callable[[str, Any], None]
 log = structlog.get_logger()
 
@@ -219,7 +215,7 @@ class Versions:
         with self._lock:
             wiring = self._now.wiring
             inserted = finished.outcome == "inserted"
-            if answered.active != wiring.active or not (inserted or _blames(finished)):
+            if answered.active != wiring.active or not (inserted or answered.blamed(finished)):
                 return
             held = answered.went_in() if inserted else {}
             for role, version in wiring.beside.items():
@@ -279,13 +275,6 @@ class Versions:
         loaded = (networks or self._now.networks).items()
         self._now = _Now(wiring, {name: one for name, one in loaded if name in used})
         self.publish("version", {"what": what, "version": version, "why": why})
-
-
-def _blames(finished: Finished) -> bool:
-    """Whether decisions may be responsible for an insertion that failed."""
-    if finished.cause == "not_confirmed" and finished.doubts:
-        return any(doubt.reason not in UNBLAMED for doubt in finished.doubts)
-    return finished.cause in BLAMED
 
 
 def _of_release(released: ModelSet) -> _Now:
