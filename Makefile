@@ -221,7 +221,7 @@ commissioning: $(VENV)/ready ## first days of 12 drawn cells: wiring check with 
 	$(BIN)/python -m simulation commission --worlds runs/commissioning/worlds --objects runs/commissioning/objects --mistakes \
 	  --seed 51 --json runs/commissioning/rows.json --docs docs
 
-identify: $(RUN_VENV)/ready ## identify gels from presses, on 60 fresh drawn cells: docs/identify.md; FIT=1 refits the released posterior
+identify: $(RUN_VENV)/ready ## identify gels from presses, on 100 fresh drawn cells: docs/identify.md; FIT=1 refits the released posterior
 	$(if $(FIT),$(RUN) -m simulation scene fit --out runs/identify --to simulation/studies/identify/posterior.npz)
 	$(RUN) -m simulation scene judge --out runs/identify --docs docs
 

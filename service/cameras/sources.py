@@ -191,12 +191,14 @@ class PushSource:
         self._queue: queue.Queue[Capture] = queue.Queue(maxsize=1)
         self._pusher = threading.Lock()
         self._pushed_ns: int | None = None
+        self._anew = False
+        self._silence: CameraError | None = None
 
     def claim(self) -> bool:
         """Become the only client that pushes; False while there is another."""
         if not self._pusher.acquire(blocking=False):
             return False
-        self._pushed_ns = None
+        self._anew = True
         return True
 
     def release(self) -> None:
@@ -205,22 +207,31 @@ class PushSource:
     def push(self, frame: TactileFrame) -> None:
         """Offer a frame in place of one that waits; raises CameraError after a silence of the client."""
         capture = Capture(now_ns(), frame.pixels)
-        check_silence(self._pushed_ns, capture.captured_ns)
+        anew, self._anew = self._anew, False
+        try:
+            check_silence(self._pushed_ns, capture.captured_ns)
+        except CameraError as silence:
+            if not anew:
+                raise
+            self._silence = silence
         self._pushed_ns = capture.captured_ns
         with contextlib.suppress(queue.Empty):
             self._queue.get_nowait()
         self._queue.put_nowait(capture)
 
     def frames(self, stop: threading.Event) -> Iterator[Capture]:
-        """Yield pushed frames; raises CameraError at the first one after a silence, which itself shows as a stall."""
-        last_ns: int | None = None
+        """Yield pushed frames; raises CameraError at the first one after a silence, which itself shows as a stall.
+
+        The silence is that between pushes, however late they are read here.
+        """
         while not stop.is_set():
             try:
                 capture = self._queue.get(timeout=0.1)
             except queue.Empty:
                 continue
-            check_silence(last_ns, capture.captured_ns)
-            last_ns = capture.captured_ns
+            silence, self._silence = self._silence, None
+            if silence is not None:
+                raise silence
             yield capture
 
 

@@ -114,7 +114,7 @@ class Recorder:
     """Writes one insertion in its own thread; every method returns at once.
 
     If the disk is too slow, or the file reaches ``largest_bytes``, frames and observations are left out, counted and
-    named in ``problem``; messages and calls never are.
+    named in ``problem``; messages and calls never are. ``kept``: closed, and on disk under its final name.
     """
 
     root: Path
@@ -130,6 +130,7 @@ class Recorder:
     _stream: IO[bytes] = field(init=False)
     _offset_ns: int = field(init=False)
     error: str = ""
+    kept: bool = False
     _stuck: bool = False
     _full: bool = False
     _waiting_bytes: int = 0
@@ -249,6 +250,7 @@ class Recorder:
             put_on_disk(self.folder)
             if not self._stuck:
                 (self.folder / PART).rename(self.path)
+                self.kept = True
         except OSError as error:
             self.error = self.error or reason(error)
         finally:

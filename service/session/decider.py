@@ -17,7 +17,7 @@ from service.decision.work import check_evidence, correction, overdue, shown_tur
 from service.settings import Deadlines
 
 Decision = wire.Correction | wire.NoDecision
-FRESH_S = 0.15  # largest age of the pair that shows what the gels carry at full depth
+FRESH_S, FRESH_AT_REST_S = 0.15, 0.5  # largest ages of the pair that shows what the gels carry at full depth
 
 
 @dataclass(slots=True)
@@ -66,9 +66,9 @@ class Decider:
 
     def doubts(self, attempt: Attempt, now_ns: int) -> tuple[wire.Doubt, ...] | None:
         """Doubts against a claim of full depth, empty if none; None while frames may still resolve them."""
-        if newest_age_s(attempt.pushes, now_ns) <= FRESH_S:
-            return doubts(attempt, self.grasp)
         waited_s = _stood_s(attempt, now_ns)
+        if newest_age_s(attempt.pushes, now_ns) <= max(FRESH_S, min(FRESH_AT_REST_S, waited_s)):
+            return doubts(attempt, self.grasp)
         if waited_s <= self.deadlines.decision_frames_s:
             return None
         detail = f"no pair showed within {waited_s:.1f} s what the gels carry at full depth"

@@ -21,7 +21,7 @@ class OpenGels:
     held_over: str = ""
     _asked_ns: int | None = None
     _learnt: set[Finger] = field(default_factory=set)
-    _problem: str = "no frame arrived"
+    _problem: str = ""
     _refused: tuple[FingerWatch, TactileFrame] | None = None
     _tried_ns: dict[Finger, int] = field(default_factory=dict)
     _opened: bool = False
@@ -54,7 +54,7 @@ class OpenGels:
 
     def ask(self, message: wire.LearnOpen, fingers: Iterable[FingerWatch], now_ns: int) -> None:
         """Learn from frames captured from now on, or forget what was learnt."""
-        self._asked_ns, self._problem = None if message.forget else now_ns, "no frame arrived"
+        self._asked_ns, self._problem = None if message.forget else now_ns, ""
         self._refused = None
         self._learnt.clear()
         self._tried_ns.clear()
@@ -83,8 +83,11 @@ class OpenGels:
         if self._asked_ns is None or now_ns - self._asked_ns <= allowed_s * 1e9:
             return []
         self._asked_ns = None
-        detail = f"the open gels could not be learnt: {self._problem}"
+        absent = " and ".join(finger for finger in FINGERS if finger not in self._tried_ns)
+        why = self._problem or f"no frame of the {absent} finger arrived"
+        code: wire.FaultCode = "open_gel" if self._problem else "camera_stalled"
+        detail = f"the open gels could not be learnt: {why}"
         if self._refused:  # only now: for each frame, it would keep messages waiting
             watch, frame = self._refused
             detail = ": ".join(filter(None, (detail, watch.explain(frame))))
-        return [wire.Fault(insertion_id=insertion_id, code="open_gel", detail=detail, fatal=False)]
+        return [wire.Fault(insertion_id=insertion_id, code=code, detail=detail, fatal=False)]

@@ -253,7 +253,8 @@ class InsertionManager:
         insertion = ended.pop()
         how = finished.model_dump(mode="json", include={"outcome", "cause", "attempts", "doubts"}) | insertion.facts
         if recorder := insertion.recorder:
-            if not recorder.close(how).is_file():  # the disk took no more; a part is left for a recovery
+            recorder.close(how)
+            if not recorder.kept:  # the disk took no more; a part is left for a recovery
                 finished = self.ended[finished.insertion_id] = finished.model_copy(update={"recording": None})
             self.frames_unrecorded_n += recorder.left_out_n
             self._note_recorded(_lacks(recorder, recorder.problem))

@@ -21,7 +21,7 @@ MOST = 1e9  # of a capital; a bet won for thousands of insertions would overflow
 STAKES = (0.1, 0.3, 0.6, 0.9)
 LEAST_COVERAGE = 0.75  # of 90 % intervals, with errors known to within the gap's clearance
 TOLERATED = 1.1  # ratio to the attempts with the version before
-KNOWN_N, UNKNOWN = 150, 5.0  # insertions of an object after which that mean is known, and the attempts tolerated before
+KNOWN_N, UNKNOWN = 150, 5.0  # insertions of an object after which that mean is known, and least tolerated before
 OBJECTS_N = 32  # whose insertions are counted apart
 FAILED = MAX_ATTEMPTS + 1  # number of attempts that a failure counts as
 SUREST = 0.98  # highest confidence attributed to a version about the end of an attempt
@@ -99,7 +99,8 @@ class Contest(Contract):
     @property
     def tolerates(self) -> float:
         """The mean number of attempts to tolerate of a version that takes over."""
-        return TOLERATED * self.attempts_n / self.ended_n if self.ended_n >= KNOWN_N else UNKNOWN
+        mean = TOLERATED * self.attempts_n / self.ended_n if self.ended_n else UNKNOWN
+        return mean if self.ended_n >= KNOWN_N else max(UNKNOWN, mean)
 
     @property
     def tolerates_of(self) -> dict[str, float]:

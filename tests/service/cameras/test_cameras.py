@@ -252,6 +252,23 @@ def test_after_a_silence_pushed_frames_are_refused_until_their_client_has_connec
     assert shown(next(source.frames(threading.Event()))) == 4, "to the camera, which is opened again, it is a first one"
 
 
+def test_a_client_that_pushes_without_a_gap_is_never_silent_however_late_its_frames_are_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stamps = itertools.count(0, 33_000_000)
+    monkeypatch.setattr("service.cameras.sources.now_ns", lambda: next(stamps))
+    source = PushSource()
+    captures = source.frames(threading.Event())
+    for reconnects in (False, True):
+        assert source.claim()
+        push(source, 1)
+        assert shown(next(captures)) == 1
+        for _ in range(30):
+            push(source, 2)
+        assert shown(next(captures)) == 2, f"connected again: {reconnects}"
+        source.release()
+
+
 def test_a_recording_plays_and_an_absent_one_says_so(tmp_path: Path) -> None:
     for index in range(3):
         cv2.imwrite(str(tmp_path / f"{index}.png"), np.full((8, 9, 3), index, np.uint8))

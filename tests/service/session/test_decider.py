@@ -56,11 +56,16 @@ def full_depth(newest_ns: int, **changes: Any) -> Attempt:
     return descent(pushes=pushes, descending_ns=began_ns, stopped_ns=STOPPED_NS, **changes)
 
 
-@pytest.mark.parametrize(("age_ms", "new_enough"), [(149.0, True), (151.0, False)])
-def test_full_depth_is_judged_by_a_pair_no_older_than_150_ms(age_ms: float, new_enough: bool) -> None:
-    one = decider()
+@pytest.mark.parametrize(
+    ("after_stop_ms", "age_ms", "new_enough"),
+    [(-1, 149, True), (-1, 151, False), (0, 149, True), (0, 151, True), (0, 499, True), (0, 501, False)],
+)
+def test_full_depth_is_judged_by_a_pair_no_older_than_150_ms_or_500_ms_since_the_arm_stands(
+    after_stop_ms: int, age_ms: int, new_enough: bool
+) -> None:
+    one, newest_ns = decider(), STOPPED_NS + after_stop_ms * MS
     one.grasp.width_mm = 50.0
-    doubts = one.doubts(full_depth(STOPPED_NS), STOPPED_NS + round(age_ms * MS))
+    doubts = one.doubts(full_depth(newest_ns), newest_ns + age_ms * MS)
     assert doubts == (() if new_enough else None)
 
 

@@ -5,6 +5,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
 from service.contract import wire
 from service.decision.models import ModelSet
 from tests.service.session.driving import Cell, Client, arm, wait_for_recorders
@@ -87,6 +89,24 @@ def test_an_insertion_with_a_value_that_cannot_be_recorded_names_its_recording_a
     finished: Any = cell.client.heard[-1]
     assert Path(finished.recording).is_file()
     assert versions.learnt == []
+
+
+def test_a_share_that_fails_once_its_recording_is_closed_keeps_no_outcome_from_the_client(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell.client.connect("one")
+    recorder: Any = cell.manager.active.recorder  # type: ignore[union-attr]
+    asked = Path.stat
+
+    def stat(path: Path, **options: Any) -> Any:
+        if path == recorder.path:
+            raise OSError(errno.EIO, "Input/output error")
+        return asked(path, **options)
+
+    monkeypatch.setattr(Path, "stat", stat)
+    cell.manager.abort("operator", "done")
+    wait_for_recorders()
+    assert (cell.client.heard[-1].type, cell.client.heard[-1].recording) == ("finished", str(recorder.path))
 
 
 def full() -> dict[str, Any]:

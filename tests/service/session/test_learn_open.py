@@ -66,6 +66,15 @@ def test_why_open_gels_could_not_be_learnt_is_told_and_they_may_be_asked_for_aga
     assert [answer.type for answer in shows(session, 0, 5 * S)] == ["open_learnt"]
 
 
+def test_a_finger_of_which_nothing_is_shown_is_named_and_not_its_gel(session: InsertionSession) -> None:
+    learn(session, S)
+    for at_ns in range(S, 3 * S, PERIOD_NS):
+        assert session.on_frame(TactileFrame("left", 0, at_ns, PIXELS), at_ns) == []
+    (fault,) = session.on_tick(3 * S + 1)
+    assert (fault.code, fault.fatal) == ("camera_stalled", False)
+    assert fault.detail == "the open gels could not be learnt: no frame of the right finger arrived"
+
+
 @pytest.mark.parametrize("after", ["nothing", "a decided attempt"])
 @pytest.mark.parametrize("code", ["camera_lost", "internal"])
 def test_a_camera_or_a_service_that_fails_while_open_gels_are_learnt_is_named_at_once(
@@ -103,7 +112,7 @@ def test_a_gel_that_is_refused_is_tried_once_a_frame_and_its_cause_is_sought_at_
     learn(session, 4 * S)
     shows(session, 0, S)
     (fault,) = session.on_tick(7 * S)
-    assert fault.detail == "the open gels could not be learnt: no frame arrived"
+    assert fault.detail == "the open gels could not be learnt: no frame of the left and right finger arrived"
 
 
 def test_what_turned_out_not_to_be_an_open_gel_is_forgotten_without_an_answer(session: InsertionSession) -> None:

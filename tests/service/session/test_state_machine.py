@@ -218,7 +218,8 @@ def test_open_gels_that_no_new_frame_shows_are_a_fault_once_and_not_before_their
     assert session.on_pair(old, asked_ns) == [], "what was captured before the hand was open shows nothing"
     assert session.on_tick(asked_ns + wait_ns) == []
     (fault,) = session.on_tick(asked_ns + wait_ns + 1)
-    assert (fault.code, fault.detail) == ("open_gel", "the open gels could not be learnt: no frame arrived")
+    why = "the open gels could not be learnt: no frame of the left and right finger arrived"
+    assert (fault.code, fault.detail) == ("camera_stalled", why), "no gel and no forgotten part is to blame"
     assert session.on_tick(asked_ns + 2 * wait_ns) == []
 
 

@@ -72,7 +72,7 @@ def test_a_grasp_of_few_probes_that_ends_late_takes_no_place_of_another(tmp_path
     monkeypatch.setattr(commissioning, "_asked_for_signs", lambda *_: (signs, tmp_path / "signs-1"))
     monkeypatch.setattr(commissioning, "named_mistakes", lambda _: [])
     monkeypatch.setattr(commissioning, "carried_out", lambda _: True)
-    monkeypatch.setattr(commissioning, "timed", lambda *_, **__: {"late_s": 0.1, "robot_s": 0.0})
+    monkeypatch.setattr(commissioning, "timed", lambda *_, **__: {"late_s": 0.1, "robot_s": 600.0})
     monkeypatch.setattr(commissioning, "_scored", lambda *_: {})
 
     def adapted(_cell, _plan, name, episodes, _around):
@@ -80,7 +80,10 @@ def test_a_grasp_of_few_probes_that_ends_late_takes_no_place_of_another(tmp_path
         return {"took_s": 1.0, "accepted": False}, None
 
     monkeypatch.setattr(commissioning, "_adapted", adapted)
-    commission(cell, plan)
+    row = commission(cell, plan)
+    assert row["robot_minutes"] == pytest.approx((4 + len(cell.probes(146)) + 600) / 60), (
+        "timing presses take time, too"
+    )
     few = next(index for index, job in enumerate(cell.probes(146)) if len(job["starts"]) == 0)
     assert learnt["after_50"] == [f"{index:05d}" for index in range(few + 1)]
 
