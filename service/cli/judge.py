@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 
 from service.contract.text import Parser
-from service.tools.judge import PHASES, RATE_HZ, report_of, runs_of
+from service.tools.judge import PHASES, RATE_HZ, VIDEOS, report_of, runs_of, without_videos
 
 _FASTEST_HZ = 1000.0
 
@@ -23,7 +23,7 @@ def main(arguments: Sequence[str]) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a run's name may contain letters that a terminal lacks
     cv2.setNumThreads(1)  # times per frame are those of one core
-    folders = list(runs_of(options.folder))
+    folders = _runs_in(options.folder)
     for path, nothing in ((options.out, "[]"), (options.evidence, "{}")):
         if path is not None:  # one that cannot be written is refused now, not after all runs
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -53,6 +53,14 @@ def main(arguments: Sequence[str]) -> int:
         options.evidence.write_text(json.dumps(evidence) + "\n", encoding="utf-8")
     print(f"wrote {options.out}")
     return int(odd_n > 0)
+
+
+def _runs_in(folder: Path) -> list[Path]:
+    """The runs; folders that hold none where one was expected are named."""
+    runs = list(runs_of(folder))
+    for empty in without_videos(folder, runs):
+        print(f"{empty}: no video of a finger ({', '.join(sorted(VIDEOS))}), left out", file=sys.stderr)
+    return runs
 
 
 def _named(runs: Sequence[Path], root: Path) -> dict[str, Path]:

@@ -42,6 +42,10 @@ class FingerRun:
     missing_n: int = 0
     spent_s: float = 0.0
 
+    def same_pictures(self, other: "FingerRun") -> bool:
+        """Whether a second recording has the pictures of this one: it is the same camera's."""
+        return len(self.pictures) == len(other.pictures) and all(map(np.array_equal, self.pictures, other.pictures))
+
     @property
     def shows_gel(self) -> bool:
         """Whether the markers are seen in enough of the frames."""

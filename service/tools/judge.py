@@ -9,7 +9,7 @@ before are none.
 import itertools
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -124,9 +124,7 @@ def report_of(folder: Path, step: int = 1, rate_hz: float = RATE_HZ) -> RunRepor
     every = {clip.stem: watched(clip, step, rate_hz) for clip in videos}
     missing_n = sum(finger.missing_n for finger in every.values())
     remarks = [f"{missing_n} frames of its videos cannot be decoded: damaged or cut off"] if missing_n else []
-    shown = {name: finger for name, finger in every.items() if finger.shows_gel}
-    if len(shown) > _FINGERS_N:
-        raise RunError(f"{len(shown)} videos show a gel, expected one of each finger: {', '.join(shown)}")
+    shown = _gels(every)
     remarks += [f"{name} shows no marker grid, and is left out" for name in every if name not in shown]
     clips = shown or every
     fingers = list(clips.values())
@@ -134,7 +132,9 @@ def report_of(folder: Path, step: int = 1, rate_hz: float = RATE_HZ) -> RunRepor
         remarks.append("one finger's video alone: whether the object slides is not known")
     if any(finger.shows_gel and finger.is_grey for finger in fingers):
         remarks.append("grey pictures: the limits were set in colour")
-    frames_n = min(len(finger.fields) for finger in fingers)
+    frames_n, most_n = (extreme(len(finger.fields) for finger in fingers) for extreme in (min, max))
+    if most_n - frames_n > rate_hz:
+        remarks.append(f"one video is longer by {(most_n - frames_n) * step} frames, which are left out")
     new = new_frames(fingers)
     numbers, fresh = [k * step for k in new], [finger.only(new) for finger in fingers]
     still = rest([finger.pictures for finger in fresh], [finger.fields for finger in fresh])
@@ -238,6 +238,17 @@ def _firsts(phases: list[Phase], numbers: Sequence[int]) -> dict[str, int | None
     return first
 
 
+def _gels(every: Mapping[str, FingerRun]) -> dict[str, FingerRun]:
+    """The videos that show a gel; RunError unless they can be of a finger each."""
+    shown = {name: finger for name, finger in every.items() if finger.shows_gel}
+    for one, other in itertools.combinations(shown, 2):
+        if shown[one].same_pictures(shown[other]):
+            raise RunError(f"{one} and {other} have the same pictures, expected a video of each finger")
+    if len(shown) > _FINGERS_N:
+        raise RunError(f"{len(shown)} videos show a gel, expected one of each finger: {', '.join(shown)}")
+    return shown
+
+
 def _begins(last: Phase, now: Phase) -> bool:
     return now == "contact" and (last == "open" or last in ENDED)
 
@@ -257,6 +268,14 @@ def runs_of(folder: Path) -> Iterator[Path]:
     if not runs:
         raise RunError(f"{folder}: expected runs, folders of one video a finger")
     yield from runs
+
+
+def without_videos(folder: Path, runs: Sequence[Path]) -> list[Path]:
+    """The folders in ``folder``, and those beside its ``runs``, in which a run was expected and no video lies."""
+    beside = {run.parent for run in runs if run != folder} | {folder}
+    holding = {*runs, *(run.parent for run in runs)}
+    others = {path for parent in beside for path in parent.glob("*") if path.is_dir() and path.name[0] != "."}
+    return sorted(others - holding)
 
 
 def clips_of(folder: Path) -> list[Path]:

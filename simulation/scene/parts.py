@@ -133,7 +133,7 @@ class Blocks(Part):
     size_x_mm: float = Field(default=45.0, ge=5.0, le=500.0)
     size_y_mm: float = Field(default=155.0, ge=5.0, le=1000.0)
     height_mm: float = Field(default=60.0, ge=25.0, le=500.0)
-    mass_kg: float = Field(default=0.6, gt=0.0, le=20.0)
+    mass_kg: float = Field(default=0.6, ge=1e-3, le=20.0)
     stiffness_n_per_mm: float = Field(default=1000.0, ge=5.0, le=50000.0)
     friction: float = Field(default=0.25, ge=0.0, le=2.0)
     table_friction: float = Field(default=0.4, ge=0.0, le=2.0)

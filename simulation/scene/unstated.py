@@ -23,7 +23,16 @@ Pose = tuple[float, float, float, float]
 Shift = Annotated[float, Field(ge=-20.0, le=20.0)]
 Scale = Annotated[float, Field(ge=0.8, le=1.25)]
 Roll = Annotated[float, Field(ge=-30.0, le=30.0)]
-Sign = Annotated[Literal[1, -1], BeforeValidator(lambda given: int(given) if given in (1.0, -1.0) else given)]
+
+
+def _whole(given: object) -> object:
+    """1.0 is 1 in TOML as well. True is not, though Python takes it for 1."""
+    if isinstance(given, bool):
+        return str(given)
+    return int(given) if given in (1.0, -1.0) else given
+
+
+Sign = Annotated[Literal[1, -1], BeforeValidator(_whole)]
 
 
 class Unstated(Part):

@@ -38,7 +38,7 @@ class Start(Part):
 class Motion(Part):
     """How the arm moves."""
 
-    descent_speed_mm_s: float = Field(default=10.0, gt=0.0, le=200.0)
+    descent_speed_mm_s: float = Field(default=10.0, ge=0.5, le=200.0)
 
 
 WORLD_TABLES: Mapping[str, type[Part]] = {
