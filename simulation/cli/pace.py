@@ -98,6 +98,7 @@ class ChooseOptions:
     objects: tuple[str, ...] = object_names()
     """what the cell packs, with --world: names, TOML files or folders of them"""
     report: Path = Path("docs/pace.json")
+    """of a checkout; without one give --world"""
     out: Path = Path("pace.toml")
     """file for the settings, to be put into the client's cell.toml"""
     count: int = 100
@@ -110,7 +111,7 @@ def choose(arguments: list[str]) -> int:
     wanted = choosing.Wanted(options.seconds_a_box, options.success, options.max_force)
     wanted.check()
     if options.world is None:
-        data = read_json(options.report, MADE_BY)
+        data = read_json(options.report, f"{MADE_BY}, in a checkout; elsewhere play your cell: --world FILE")
     else:
         out = Path("runs/choose") / options.world.stem
         played = PlayOptions(out=out, docs=out, models=released_models(), objects=options.objects, count=options.count)
