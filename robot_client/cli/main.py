@@ -157,8 +157,13 @@ def _run(args: argparse.Namespace) -> Outcome:
     }
     if args.command == "doctor":
         return doctor(args.config, overrides, args.recordings)
+    live = getattr(args, "live", False)
+    if live and args.config is None:
+        raise ValueError(
+            "--live expects --config FILE: the limits and addresses that are built in are those of no cell"
+        )
     settings = load_settings(args.config, overrides)
-    with alone(settings) if getattr(args, "live", False) else contextlib.nullcontext():
+    with alone(settings) if live else contextlib.nullcontext():
         return _on_cell(args, settings)
 
 

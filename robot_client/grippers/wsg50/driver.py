@@ -20,8 +20,8 @@ from robot_client.insertion.events import Failure, Grasped, PartLost, Width
 from robot_client.ports import Check, Finding, Gripper, HomingDirection, Post
 from robot_client.silence import Silence
 
-_HOME = "`python -m robot_client home --live` with empty fingers"
-_ACKNOWLEDGE = "`python -m robot_client home --live --acknowledge` with empty fingers"
+_HOME = "`python -m robot_client home --live --config FILE` with empty fingers"
+_ACKNOWLEDGE = "`python -m robot_client home --live --config FILE --acknowledge` with empty fingers"
 _WIDTH_STEP_MM = 0.1  # a smaller change of the width is not reported
 _OPENED_MM = 1.0
 

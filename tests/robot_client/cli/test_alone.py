@@ -24,13 +24,28 @@ with alone(load_settings(None, {"gripper": {"host": "127.0.0.1", "port": 9}})):
 """
 
 
-@pytest.mark.parametrize(
-    "command", [["jog", "--z-mm", "60"], ["home"], ["insert", "--uncommissioned"], ["cycle"], ["commission"]]
-)
-def test_a_second_client_of_a_cell_moves_nothing(command, capsys):
+COMMANDS = [["jog", "--z-mm", "60"], ["home"], ["insert", "--uncommissioned"], ["cycle"], ["commission"]]
+
+
+@pytest.fixture
+def config(tmp_path):
+    path = tmp_path / "cell.toml"
+    path.touch()
+    return str(path)
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, ["try", "arm"]])
+def test_nothing_moves_by_what_is_built_in(command, capsys):
+    assert main([*command, "--live", "--gripper", AT]) == 2
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err.startswith("error: --live expects --config FILE")) == ("", True)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_second_client_of_a_cell_moves_nothing(command, config, capsys):
     settings = load_settings(None, {"gripper": {"host": "127.0.0.1", "port": 9}})
     with alone(settings):
-        assert main([*command, "--live", "--gripper", AT]) == 1
+        assert main([*command, "--live", "--config", config, "--gripper", AT]) == 1
     assert f"another client has the cell with the gripper {AT}: end it first" in capsys.readouterr().err
     with alone(settings), alone(load_settings(None, {"gripper": {"host": "127.0.0.1", "port": 10}})):
         pass  # nor does a cell keep out the next insertion, or another cell
@@ -64,7 +79,7 @@ def test_a_jog_says_where_it_will_go_before_it_connects(monkeypatch, capsys, tmp
 
 
 @pytest.mark.parametrize("interrupted", [False, True])
-def test_an_arm_that_may_still_move_has_not_failed_safe(monkeypatch, capsys, interrupted):
+def test_an_arm_that_may_still_move_has_not_failed_safe(monkeypatch, config, capsys, interrupted):
     """Nor does nothing move, if somebody presses Ctrl-C because the terminal takes no more lines, as after Ctrl-S."""
 
     def press():
@@ -77,5 +92,5 @@ def test_an_arm_that_may_still_move_has_not_failed_safe(monkeypatch, capsys, int
         raise DriverError(f"robot: {NOT_CONFIRMED} by the controller: use the stop button")
 
     monkeypatch.setattr(command_line, "jog", unstopped)
-    assert main(["jog", "--live", "--z-mm", "60", "--gripper", AT]) == 1
+    assert main(["jog", "--live", "--config", config, "--z-mm", "60", "--gripper", AT]) == 1
     assert capsys.readouterr().err.startswith("FAILED: robot: STOP NOT CONFIRMED")
