@@ -31,7 +31,7 @@ from service.tools.calibrate import (
     remarks,
     still_image,
 )
-from service.tools.calibration_output import figures, profile_of, residual_map, save_profile
+from service.tools.calibration_output import figures, nothing, profile_of, residual_map, save_profile
 
 STDOUT = Path("-")
 
@@ -53,6 +53,8 @@ def main(arguments: Sequence[str]) -> int:
         if sensor is None:
             sensor = _new_profile(options, image, finger)
         fits[finger] = fit = fit_camera(image, finger, sensor, serial_of(url))
+        if options.new_profile and finger == FINGERS[0]:
+            _save(options, sensor)
         print(_line(finger, fit, sensor))
         _draw(options.pictures, finger, image, fit)
     check_two_cameras((options.camera_left, fits["left"]), (options.camera_right, fits["right"]))
@@ -85,13 +87,16 @@ def _measure(options: argparse.Namespace, out: TextIO) -> int:
         own = sensor if of_sensor(grid, sensor) else profile_of(picture, grid, "as_seen", options.pitch_mm, options.fps)
         fit = rectify(picture, grid, own)
     except (ContractError, CalibrationError) as error:
-        nothing = {"residual_px": None, "rows": 0, "columns": 0, "found_share": 0.0, "refused": str(error)}
-        _write(options.json, {"picture": path.name, "sensor": name, **nothing}, out)
+        _write(options.json, {"picture": path.name, "sensor": name, **nothing(str(error))}, out)
         raise
     refused = refusal(fit, sensor)
-    _write(options.json, {"picture": path.name, "sensor": sensor.name, **figures(fit, refused)}, out)
+    _write(options.json, {"picture": path.name, "sensor": sensor.name, **figures(fit, own, refused)}, out)
     print(_line(path.name, fit, own) + ("" if refused is None else f"\nno calibration of {sensor.name}: {refused}"))
     _draw(options.pictures, path.stem, picture, fit)
+    if options.new_profile and refused is not None:
+        raise CalibrationError(f"{path.name}: {refused}; {options.new_profile} is not written")
+    if options.new_profile:
+        _save(options, sensor)
     return 0
 
 
@@ -118,12 +123,15 @@ def _new_profile(options: argparse.Namespace, image: np.ndarray, name: str) -> S
     if options.new_profile.suffix != ".toml":
         raise CalibrationError(f"--new-profile {options.new_profile}: expected a file name that ends in .toml")
     grid = find_grid(image, name, None, options.up)
-    sensor = profile_of(image, grid, options.new_profile.stem, options.pitch_mm, options.fps, Sensor.load())
+    return profile_of(image, grid, options.new_profile.stem, options.pitch_mm, options.fps, Sensor.load())
+
+
+def _save(options: argparse.Namespace, sensor: Sensor) -> None:
+    """Write the new profile, which its picture has been fitted to."""
     if earlier := _kept(options.new_profile):
         print(f"the profile of before is kept as {earlier}: what was measured in it is not in the new one")
     save_profile(sensor, options.new_profile)
     print(f"wrote {options.new_profile}; markers taken as {options.pitch_mm:g} mm apart, {options.fps} frames a second")
-    return sensor
 
 
 def _line(name: str, fit: Fit, sensor: Sensor) -> str:
@@ -160,7 +168,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--picture", type=Path, help="measure this picture of a resting gel instead, write no calibration"
     )
-    row_help = "with --picture: file for residual_px, rows, columns, found_share; without one they go to stdout alone"
+    row_help = "with --picture: file for residual_px, rows, columns and so on; without one they go to stdout alone"
     parser.add_argument("--json", nargs="?", type=Path, const=STDOUT, metavar="FILE", help=row_help)
     parser.add_argument("--sensor", default=DEFAULT_SENSOR, help="name or TOML profile of the sensor (%(default)s)")
     parser.add_argument("--new-profile", type=Path, metavar="TOML", help="count the markers, write this profile")
@@ -172,9 +180,9 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--frames", type=int, default=15, help="frames per camera; their median is used (15)")
     parser.add_argument("--pictures", type=Path, help="folder for rectified pictures and residual maps, for inspection")
     options = parser.parse_args(arguments)
-    if options.new_profile is None and (options.up or options.fps):
+    if options.new_profile is None and (options.up or options.fps is not None):
         raise CalibrationError("--up and --fps describe a new profile: expected with --new-profile TOML")
     if options.picture is None and options.json:
         raise CalibrationError("--json takes the figures of one picture: expected with --picture FILE")
-    options.up, options.fps = options.up or "top", options.fps or 30
+    options.up, options.fps = options.up or "top", 30 if options.fps is None else options.fps
     return options

@@ -13,7 +13,6 @@ from itertools import islice
 from math import ceil
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +27,7 @@ from service.perception.light import light_of
 from service.perception.markers.fingerprint import fingerprint_of
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.rectification import CalibrationError, CameraCalibration, Measured, Rectifier
-from service.tools.grid_fit import GridFit, fit_grid
+from service.tools.grid_fit import GridFit, fit_grid, view_of
 
 MIN_SIDE = 0.71  # share of the rows and of the columns
 MIN_PRESENT = 0.7
@@ -178,11 +177,8 @@ def refusal(fit: Fit, sensor: Sensor) -> str | None:
 
 def _nominal_pitch_px(sensor: Sensor) -> float:
     """Mean distance of neighbouring markers in the profile's raw frame."""
-    width, height = sensor.width_px - 1, sensor.height_px - 1
-    corners = np.array([(0, 0), (width, 0), (width, height), (0, height)], np.float32)
-    view = cv2.getPerspectiveTransform(corners, np.asarray(sensor.corners_raw_px, np.float32))
     rest = sensor.marker_rest_px()
-    raw = transformed(np.asarray(view, np.float64), rest.reshape(-1, 2).astype(np.float64)).reshape(rest.shape)
+    raw = transformed(view_of(sensor), rest.reshape(-1, 2).astype(np.float64)).reshape(rest.shape)
     steps = [np.linalg.norm(np.diff(raw, axis=axis), axis=-1).mean() for axis in (0, 1)]
     return float(np.mean(steps))
 
@@ -198,10 +194,10 @@ def _other_shape(grid: GridFit, sensor: Sensor) -> Iterator[str]:
     for lines, in_view_n, kept_n, whole_n in zip(
         ("rows", "columns"), grid.in_view, grid.shape, expected_n, strict=True
     ):
-        if in_view_n > kept_n:
+        if (over_n := in_view_n - kept_n) > 0:
             yield (
-                f"{in_view_n} {lines} in view, {kept_n} kept: those with the most markers; where a few spots decide,"
-                " the frame may be a whole pitch off"
+                f"{in_view_n} {lines} in view, {kept_n} kept: which of them are the profile's cannot be told, so the"
+                f" frame may be up to {over_n} {'pitch' if over_n == 1 else 'pitches'} off"
             )
         elif kept_n < whole_n:
             away = _PITCHES_OFF.get(whole_n - kept_n, f"{(whole_n - kept_n) / 2:g} pitches")

@@ -14,7 +14,7 @@ from service.contract.toml import toml_text
 from service.perception.lens import transformed
 from service.perception.markers.tracker import MarkerTracker
 from service.perception.rectification import CameraCalibration, Rectifier
-from service.tools.calibrate import Fit
+from service.tools.calibrate import Fit, remarks
 from service.tools.grid_fit import GridFit
 
 _MAGNIFIED = 20.0  # arrows of the residual map
@@ -25,19 +25,30 @@ _AROUND = (1.0, 0.75, 0.5)  # pitches from the outer markers to the edge of a ne
 _SPARE = 0.25  # pitches by which a frame may reach beyond the picture
 
 
-def figures(fit: Fit, refused: str | None) -> dict[str, Any]:
-    """The row that `calibrate --picture --json` writes: ``residual_px`` is RMS, in the rectified frame."""
+def figures(fit: Fit, sensor: Sensor, refused: str | None) -> dict[str, Any]:
+    """The row that `calibrate --picture --json` writes: ``residual_px`` is RMS, in the rectified frame.
+
+    ``in_view`` is [rows, columns] before those beyond the number of ``sensor`` were left out.
+    """
     rows, columns = fit.grid.shape
     return {
         "residual_px": fit.residual_px,
         "rows": rows,
         "columns": columns,
         "found_share": fit.found_share,
+        "in_view": list(fit.grid.in_view),
         "pitch_px": fit.pitch_px,
         "lens_k": None if fit.camera.lens is None else [fit.camera.lens.k1, fit.camera.lens.k2],
         "warp_px": None if fit.camera.warp is None else float(np.abs(fit.camera.warp.coefficients).max()),
         "refused": refused,
+        "remarks": remarks(fit, sensor),
     }
+
+
+def nothing(refused: str) -> dict[str, Any]:
+    """The row of a picture in which nothing could be measured."""
+    none = {"residual_px": None, "rows": 0, "columns": 0, "found_share": 0.0, "in_view": [0, 0]}
+    return {**none, "refused": refused, "remarks": []}
 
 
 def residual_map(image: NDArray[np.uint8], fit: Fit) -> NDArray[np.uint8]:

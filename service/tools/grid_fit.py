@@ -7,6 +7,7 @@ markers. Radial terms are included while they lower Schwarz's criterion (BIC, 19
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,14 +22,17 @@ from service.perception.markers.lattice import Lattice, find_lattice
 from service.tools.lens_fit import settled
 
 Image = NDArray[np.uint8]
-_GATES = (0.3, 0.2, 0.15, 0.12)  # pitch; largest distance of a spot from its node, round by round
-_BEYOND = 3  # steps beyond the known grid in which more markers are sought
+# round by round: largest distance of a spot from its node, in pitches, and share of a row that must be present; within
+# a wide gate a few false spots lie near the nodes of any row
+_ROUNDS = ((0.3, 0.34), (0.2, 0.34), (0.15, 0.2), (0.12, 0.2))
+_BEYOND = 4  # steps beyond the known grid in which more markers are sought
 _WEAK, _ROUND = 0.25, 0.45  # of the typical marker's strength and tightness
 _ALIKE = 0.7  # of a marker's strength and tightness
 _MESH_PX = 4
 _SPARE = 1.25
 _LARGEST_PX = 640
-_ROW_SHARE = 0.34  # share of a row or column that must be present
+_GAP = 2  # rows that may be hidden between others
+_ELSEWHERE = 1.0  # pitches from any possible place: the profile's view is not that of this camera
 _ROUGH = (2,)
 _TERMS = (0, 1, 2, 4)  # radial parameters tried: none, k1, k1 k2, k1 k2 and the centre
 _PITCH_PX = (10.0, 40.0)  # of the frame that is searched
@@ -84,32 +88,57 @@ class GridFit:
         )
 
 
+class _Expected(NamedTuple):
+    """The most columns and rows [2] that are kept, and where their middle may lie in the frame, px [2, 2].
+
+    The first place is the profile's, the second the middle of the picture.
+    """
+
+    counts: NDArray[np.intp]
+    middles_px: Float64
+
+    @classmethod
+    def of(cls, sensor: Sensor, image: Image, change: Float64) -> "_Expected":
+        """Those of a sensor, in a frame whose points ``change`` [3, 3] takes to the raw frame ``image``."""
+        raw_size = np.array([sensor.raw_width_px, sensor.raw_height_px])
+        nominal = transformed(view_of(sensor), sensor.marker_rest_px().mean((0, 1))[None])
+        middles = (np.concatenate([nominal, (raw_size[None] - 1) / 2]) + 0.5) * image.shape[1::-1] / raw_size - 0.5
+        there = transformed(np.asarray(np.linalg.inv(change)), middles)
+        return cls(np.array([sensor.marker_columns, sensor.marker_rows]), there)
+
+
+def view_of(sensor: Sensor) -> Float64:
+    """The profile's nominal homography [3, 3], from the rectified to the raw frame, both in px."""
+    width, height = sensor.width_px - 1, sensor.height_px - 1
+    corners = np.array([(0, 0), (width, 0), (width, height), (0, height)], np.float32)
+    return np.asarray(cv2.getPerspectiveTransform(corners, np.asarray(sensor.corners_raw_px, np.float32)), np.float64)
+
+
 def fit_grid(image: Image, sensor: Sensor | None = None, up: Edge = "top") -> GridFit | None:
     """The grid of a raw frame uint8 [h, w, 3], or None; at most the rows and columns of ``sensor``, if given.
 
-    Its first row is that at the edge ``up``. A large frame is searched in a smaller copy, since the filters are made
-    for markers of up to 25 px.
+    Of more rows or columns those are kept that lie nearest to where the profile has them. The first row is that at the
+    edge ``up``. A large frame is searched in a smaller copy, since the filters are made for markers of up to 25 px.
     """
-    if up != "top":
-        turns = EDGES.index(up)
-        fit = fit_grid(np.ascontiguousarray(np.rot90(image, turns)), sensor)
-        return None if fit is None else fit.moved(_turned(turns, image.shape[1], image.shape[0]))
-    factor = -(-max(image.shape[:2]) // _LARGEST_PX)
+    turns, factor = EDGES.index(up), -(-max(image.shape[:2]) // _LARGEST_PX)
+    change = _turned(turns, image.shape[1], image.shape[0])
+    searched = np.ascontiguousarray(np.rot90(image, turns))
     if factor > 1:
-        whole = image[: image.shape[0] // factor * factor, : image.shape[1] // factor * factor]
+        whole = searched[: searched.shape[0] // factor * factor, : searched.shape[1] // factor * factor]
         size = (whole.shape[1] // factor, whole.shape[0] // factor)
-        fit = fit_grid(np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), np.uint8), sensor)
+        searched = np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), np.uint8)
         shift = (factor - 1) / 2  # pixel centres lie at integers
-        return None if fit is None else fit.moved(np.array([[factor, 0, shift], [0, factor, shift], [0, 0, 1.0]]))
+        change = change @ np.array([[factor, 0, shift], [0, factor, shift], [0, 0, 1.0]])
+    expected = None if sensor is None else _Expected.of(sensor, image, change)
     best: GridFit | None = None
-    for picture in _pictures(image):
+    for picture in _pictures(searched):
         start = find_lattice(picture)
-        fit = None if start is None else _refined(picture, start, sensor)
+        fit = None if start is None else _refined(picture, start, expected)
         if fit is not None and (best is None or len(fit.cells) > len(best.cells)):
             best = fit
         if best is not None and best.present.mean() > 0.85:
             break
-    return best
+    return None if best is None else best.moved(change)
 
 
 def _turned(turns: int, width_px: int, height_px: int) -> Float64:
@@ -131,18 +160,19 @@ def _pictures(image: Image) -> Iterator[Image]:
         yield np.ascontiguousarray(image[..., channel])
 
 
-def _refined(image: Image, start: Lattice, sensor: Sensor | None) -> GridFit | None:
+def _refined(image: Image, start: Lattice, expected: _Expected | None) -> GridFit | None:
     rows, columns = np.nonzero(start.detected)
     cells, raw = np.stack([columns, rows], 1), start.xy_px[start.detected].astype(np.float64)
     size = (image.shape[1], image.shape[0])
     model, _, _ = settled(raw, cells, size, _ROUGH)
     diameter, in_view = start.diameter_px / start.pitch_px, (0, 0)  # in pitches; rows and columns
-    for last, gate in zip((False, False, False, True), _GATES, strict=True):
+    for k, (gate, share) in enumerate(_ROUNDS, 1):
+        last = k == len(_ROUNDS)
         if model is None:
             return None
         spots, centres = _search(image, model, cells, start.pitch_px, diameter)
         cells, raw = _matched(spots, centres, model, gate, size)
-        cells, raw, in_view = _kept(cells, raw, sensor)
+        cells, raw, in_view = _kept(cells, raw, share, expected if last else None, model)
         if len(cells) < 25:
             return None
         model, cells, raw = settled(raw, cells, size, _TERMS if last else _ROUGH)
@@ -211,13 +241,13 @@ def _matched(
 
 
 def _kept(
-    cells: NDArray[np.intp], raw: Float64, sensor: Sensor | None
+    cells: NDArray[np.intp], raw: Float64, share: float, expected: _Expected | None, model: Projection
 ) -> tuple[NDArray[np.intp], Float64, tuple[int, int]]:
-    """Remove stray rows and columns at the borders; keep at most the sensor's number, where most markers are.
+    """Remove stray rows and columns at the borders, and keep at most the sensor's number.
 
     Also how many rows and columns there were, before some of them were left out.
     """
-    most = (256, 256) if sensor is None else (sensor.marker_columns, sensor.marker_rows)
+    middles = np.zeros((0, 2)) if expected is None else model.plane(expected.middles_px)
     longest = [0, 0]
     for _ in range(2):
         for axis in (0, 1):
@@ -225,33 +255,35 @@ def _kept(
                 return cells, raw, (0, 0)
             low = int(cells[:, axis].min())
             counts = np.bincount(cells[:, axis] - low)
-            begin, end = _run(counts)
+            begin, end = _run(counts, share)
             longest[axis] = max(longest[axis], end - begin)
-            begin, end = _window(counts, begin, end, most[axis])
+            if expected is not None:
+                begin, end = _window(begin, end, int(expected.counts[axis]), middles[:, axis] - low)
             keep = (cells[:, axis] >= low + begin) & (cells[:, axis] < low + end)
             cells, raw = cells[keep], raw[keep]
     return cells, raw, (longest[1], longest[0])
 
 
-def _run(counts: NDArray[np.intp]) -> tuple[int, int]:
-    """The stretch of present rows, [begin, end)."""
-    there = counts >= _ROW_SHARE * np.percentile(counts[counts > 0], 80)
+def _run(counts: NDArray[np.intp], share: float) -> tuple[int, int]:
+    """The stretch of present rows, [begin, end); up to two between others may be hidden."""
+    there = np.flatnonzero(counts >= share * np.percentile(counts[counts > 0], 80))
     middle = int(np.argmax(np.convolve(counts, np.ones(5), "same")))
-    begin = end = middle
-    while begin > 0 and there[begin - 1]:
-        begin -= 1
-    while end < len(counts) and (there[end] or end == middle):
-        end += 1
-    return begin, end
+    stretches = np.split(there, np.flatnonzero(np.diff(there) > _GAP + 1) + 1)
+    nearest = min(stretches, key=lambda rows: int(np.abs(rows - middle).min()))
+    return int(nearest[0]), int(nearest[-1]) + 1
 
 
-def _window(counts: NDArray[np.intp], begin: int, end: int, most: int) -> tuple[int, int]:
-    """At most ``most`` of these rows, those with the most markers.
+def _window(begin: int, end: int, most: int, middles: Float64) -> tuple[int, int]:
+    """At most ``most`` of these rows, those nearest to the first of ``middles`` that can be theirs, else to the last.
 
     If there are more than a view beyond the usual edge could add, it is another sensor, and left whole.
     """
     if most < end - begin <= _SPARE * most:
-        sums = np.convolve(counts[begin:end], np.ones(most), "valid")
-        begin += int(np.argmax(sums))
+        possible = np.arange(begin, end - most + 1) + (most - 1) / 2
+        for middle in middles:
+            off = np.abs(possible - middle)
+            if off.min() <= _ELSEWHERE:
+                break
+        begin += int(np.argmin(off))
         end = begin + most
     return begin, end
