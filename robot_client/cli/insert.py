@@ -54,14 +54,14 @@ def with_commissioning(settings: Settings, plan: Plan, *, asked: bool) -> Plan:
         return plan.model_copy(update={"signs_known": settings.simulated})
     if settings.commissioning is None:
         raise SettingsError(
-            'the configuration names no record of a commissioning (commissioning = "FILE"): run `commission --live`'
-            " first, or type --uncommissioned"
+            'the configuration names no record of a commissioning (commissioning = "FILE"): run'
+            " `commission --live --config FILE` first, or type --uncommissioned"
         )
     record = commissioned(settings.commissioning)
     if record.late_s is None and "stop_lag_s" not in settings.lease.model_fields_set:
         raise SettingsError(
             f"{settings.commissioning} does not show how late pictures and arm are, and lease.stop_lag_s is not set:"
-            " run `commission --live` again with a wider part or a firmer grip, or set it"
+            " run `commission --live --config FILE` again with a wider part or a firmer grip, or set it"
         )
     known = {"gels": record.gels, "signs_known": True, "lease": plan.lease.late_by(record.late_s)}
     return plan.model_copy(update=known)

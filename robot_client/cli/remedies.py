@@ -11,7 +11,7 @@ REMEDIES: tuple[tuple[str, str], ...] = (
     (r"recordings may not", "Give the folder to the user of the service."),
     (
         r"no record of a commissioning|not as it was written",
-        "It is of another version, or damaged: move its folder away and commission again, `commission --live`.",
+        "It is of another version, or damaged: move its folder away and `commission --live --config FILE` again.",
     ),
     (
         r"not commissioned to the end",

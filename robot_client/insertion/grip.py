@@ -58,7 +58,7 @@ def forgotten(state: State, code: wire.FaultCode) -> str:
     apart = "its fingers" if state.width_mm is None else f"its fingers, {state.width_mm:.1f} mm apart,"
     return (
         f"; the gripper reports no part, as it also does after its client has left: if {apart} are on one,"
-        " put it back where it is gripped and open them (`home --live --direction outward`)"
+        " put it back where it is gripped and open them (`home --live --config FILE --direction outward`)"
     )
 
 

@@ -137,8 +137,8 @@ class Cycle:
             await self.plc.begin()
         if not await self.errands.with_gripper(lambda gripper: is_empty(gripper, self.settings.open_mm)):
             raise CycleHeldError(
-                "gripper: holds something before the first part; put it back where it is gripped (`jog --live`) and"
-                " open the fingers (`home --live --direction outward`)"
+                "gripper: holds something before the first part; put it back where it is gripped (`jog --live"
+                " --config FILE`) and open the fingers (`home --live --config FILE --direction outward`)"
             )
 
     async def _asked(self) -> bool:

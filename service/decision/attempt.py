@@ -89,7 +89,8 @@ class Attempt:
     slip_sent: bool = False
     stop_ns: int | None = None
     stale_sent: bool = False
-    stopped_ns: int | None = None  # when the arm came to rest
+    stopped_ns: int | None = None  # when the arm came to rest, as its client states
+    reported_ns: int | None = None  # when that was reported
     outcome: Outcome | None = None
     depth_mm: float = 0.0
     gripper_width_mm: float | None = None

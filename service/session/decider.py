@@ -66,9 +66,10 @@ class Decider:
 
     def doubts(self, attempt: Attempt, now_ns: int) -> tuple[wire.Doubt, ...] | None:
         """Doubts against a claim of full depth, empty if none; None while frames may still resolve them."""
-        waited_s = _stood_s(attempt, now_ns)
-        if newest_age_s(attempt.pushes, now_ns) <= max(FRESH_S, min(FRESH_AT_REST_S, waited_s)):
+        reported_s = (now_ns - (attempt.reported_ns or now_ns)) / 1e9  # what a client states proves no standstill
+        if newest_age_s(attempt.pushes, now_ns) <= max(FRESH_S, min(FRESH_AT_REST_S, reported_s)):
             return doubts(attempt, self.grasp)
+        waited_s = _stood_s(attempt, now_ns)
         if waited_s <= self.deadlines.decision_frames_s:
             return None
         detail = f"no pair showed within {waited_s:.1f} s what the gels carry at full depth"

@@ -21,8 +21,7 @@ class OpenGels:
     held_over: str = ""
     _asked_ns: int | None = None
     _learnt: set[Finger] = field(default_factory=set)
-    _problem: str = ""
-    _refused: tuple[FingerWatch, TactileFrame] | None = None
+    _refused: dict[Finger, tuple[str, FingerWatch, TactileFrame]] = field(default_factory=dict)
     _tried_ns: dict[Finger, int] = field(default_factory=dict)
     _opened: bool = False
 
@@ -54,8 +53,8 @@ class OpenGels:
 
     def ask(self, message: wire.LearnOpen, fingers: Iterable[FingerWatch], now_ns: int) -> None:
         """Learn from frames captured from now on, or forget what was learnt."""
-        self._asked_ns, self._problem = None if message.forget else now_ns, ""
-        self._refused = None
+        self._asked_ns = None if message.forget else now_ns
+        self._refused.clear()
         self._learnt.clear()
         self._tried_ns.clear()
         self._opened = False
@@ -68,9 +67,9 @@ class OpenGels:
         if self._asked_ns is None or frame.captured_ns < since_ns or frame.finger in self._learnt:
             return []
         self._tried_ns[frame.finger] = frame.captured_ns  # a frame comes alone and in its pair
-        problem = watch.learn_open(frame)
-        if problem:
-            self._problem, self._refused = f"{frame.finger} finger: {problem}", (watch, frame)
+        self._refused.pop(frame.finger, None)
+        if problem := watch.learn_open(frame):
+            self._refused[frame.finger] = problem, watch, frame
             return []
         self._learnt.add(frame.finger)
         if len(self._learnt) < len(FINGERS):
@@ -83,11 +82,14 @@ class OpenGels:
         if self._asked_ns is None or now_ns - self._asked_ns <= allowed_s * 1e9:
             return []
         self._asked_ns = None
-        absent = " and ".join(finger for finger in FINGERS if finger not in self._tried_ns)
-        why = self._problem or f"no frame of the {absent} finger arrived"
-        code: wire.FaultCode = "open_gel" if self._problem else "camera_stalled"
+        if absent := " and ".join(finger for finger in FINGERS if finger not in self._tried_ns):
+            return [self._unlearnt(insertion_id, "camera_stalled", f"no frame of the {absent} finger arrived")]
+        finger, (problem, watch, frame) = self._refused.popitem()
+        cause = watch.explain(frame)  # only now: for each frame, it would keep messages waiting
+        why = ": ".join(filter(None, (f"{finger} finger", problem, cause)))
+        return [self._unlearnt(insertion_id, "open_gel", why)]
+
+    @staticmethod
+    def _unlearnt(insertion_id: str, code: wire.FaultCode, why: str) -> wire.Fault:
         detail = f"the open gels could not be learnt: {why}"
-        if self._refused:  # only now: for each frame, it would keep messages waiting
-            watch, frame = self._refused
-            detail = ": ".join(filter(None, (detail, watch.explain(frame))))
-        return [wire.Fault(insertion_id=insertion_id, code=code, detail=detail, fatal=False)]
+        return wire.Fault(insertion_id=insertion_id, code=code, detail=detail, fatal=False)

@@ -159,7 +159,8 @@ class InsertionSession:
             return self._end(attempt, "part_lost")
         if attempt.stage is Stage.ARMED:  # repeated, it changes nothing
             attempt.ends(message)
-            attempt.stage, attempt.stopped_ns = Stage.STOPPED, now_ns - round(message.still_s * 1e9)
+            attempt.stage, attempt.reported_ns = Stage.STOPPED, now_ns
+            attempt.stopped_ns = now_ns - round(message.still_s * 1e9)
         return self._conclude(now_ns)
 
     def _is_current(self, number: int, stages: set[Stage]) -> bool:

@@ -43,8 +43,8 @@ class FingerRun:
     spent_s: float = 0.0
 
     def same_pictures(self, other: "FingerRun") -> bool:
-        """Whether a second recording has the pictures of this one: it is the same camera's."""
-        return len(self.pictures) == len(other.pictures) and all(map(np.array_equal, self.pictures, other.pictures))
+        """Whether a second recording has the pictures of this one, up to the end of one: it is the same camera's."""
+        return all(map(np.array_equal, self.pictures, other.pictures))
 
     @property
     def shows_gel(self) -> bool:

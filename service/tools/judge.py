@@ -272,7 +272,7 @@ def runs_of(folder: Path) -> Iterator[Path]:
 
 def without_videos(folder: Path, runs: Sequence[Path]) -> list[Path]:
     """The folders in ``folder``, and those beside its ``runs``, in which a run was expected and no video lies."""
-    beside = {run.parent for run in runs if run != folder} | {folder}
+    beside = {run.parent for run in runs if run != folder} | ({folder} - {*runs})
     holding = {*runs, *(run.parent for run in runs)}
     others = {path for parent in beside for path in parent.glob("*") if path.is_dir() and path.name[0] != "."}
     return sorted(others - holding)

@@ -1,6 +1,6 @@
 """Versions that run beside the active one in an insertion: the same evidence, their own answers, no motion."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,15 +20,15 @@ from service.decision.belief import BeliefGrid
 from service.decision.controllers import Belief, Command, Heuristic
 from service.decision.evidence import Evidence, Refusal
 from service.decision.models import ModelSet
-from service.decision.work import check_evidence, decide_again
+from service.decision.work import check_evidence, decide_again, unknown_depth
 from service.versions.contest import Held, intervals_hold, log_score
 
 BLAMED: frozenset[Cause] = frozenset({"attempts", "no_decision", "not_confirmed"})
 """Causes of an end that decisions may be responsible for."""
-UNBLAMED: frozenset[DoubtReason | NoDecisionReason] = frozenset(
-    {"neighbours", "not_seen", "width", "order", "depth", "no_motion", "stale", "too_few_frames"}
-)
-"""Doubts of full depth, and reasons for no decision, that the cell, its cameras or its client cause."""
+UNBLAMED: frozenset[DoubtReason] = frozenset({"neighbours", "not_seen", "width", "order", "depth"})
+"""Doubts of full depth that the cell, its cameras or its client cause."""
+UNSEEN: frozenset[NoDecisionReason] = frozenset({"no_motion", "stale", "too_few_frames"})
+"""Reasons for no decision that they cause, unless it was the networks that were late."""
 Move = tuple[float, float]
 
 
@@ -37,9 +37,9 @@ class Beside:
     """Answers of versions in one insertion; of ``networks`` by version the ``active`` one decides it.
 
     Each version has its own belief, updated with the moves that were made, and so predicts whether the next attempt
-    inserts. ``scores``: the quality of these predictions, in order of the attempts. ``undecided``: why the active one
-    decided nothing, since its last correction. Not thread safe: the recorder's thread calls :meth:`decide`; the other
-    methods are called after it has ended.
+    inserts. ``scores``: the quality of these predictions, in order of the attempts. ``undecided``: of the attempts
+    without a decision since the last correction, whether the active one's networks may be why. Not thread safe: the
+    recorder's thread calls :meth:`decide`; the other methods are called after it has ended.
     """
 
     active: str
@@ -47,7 +47,7 @@ class Beside:
     limits: Limits
     controller: ControllerName
     scores: list[dict[str, float]] = field(default_factory=list)
-    undecided: list[NoDecisionReason] = field(default_factory=list)
+    undecided: list[bool] = field(default_factory=list)
     _beliefs: dict[str, Belief] = field(default_factory=dict)
     _chances: dict[str, float] = field(default_factory=dict)
     _first: dict[str, Evidence | None] = field(default_factory=dict)
@@ -62,7 +62,8 @@ class Beside:
             made = decision.dx_mm, decision.dtheta_deg
             self.undecided.clear()
         elif isinstance(decision, NoDecision):
-            self.undecided.append(decision.reason)
+            late = attempt.fed and attempt.result is None and unknown_depth(attempt) is None
+            self.undecided.append(late or decision.reason not in UNSEEN)
         felt, answers = dict[str, Evidence | None](), dict[str, Any]()
         for name in self.networks:
             evidence, refusal = self._evidence(name, attempt)
@@ -123,9 +124,9 @@ class Beside:
 
     def blamed(self, finished: Finished) -> bool:
         """Whether decisions of the active version may be responsible for an insertion that failed."""
-        doubted = [doubt.reason for doubt in finished.doubts]
-        why: Sequence[DoubtReason | NoDecisionReason] = self.undecided if finished.cause == "no_decision" else doubted
-        return finished.cause in BLAMED and (not why or any(reason not in UNBLAMED for reason in why))
+        doubted = [doubt.reason not in UNBLAMED for doubt in finished.doubts]
+        blamed = self.undecided if finished.cause == "no_decision" else doubted
+        return finished.cause in BLAMED and (not blamed or any(blamed))
 
 
 def _facts(evidence: Evidence, command: Command) -> dict[str, Any]:

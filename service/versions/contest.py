@@ -21,7 +21,8 @@ MOST = 1e9  # of a capital; a bet won for thousands of insertions would overflow
 STAKES = (0.1, 0.3, 0.6, 0.9)
 LEAST_COVERAGE = 0.75  # of 90 % intervals, with errors known to within the gap's clearance
 TOLERATED = 1.1  # ratio to the attempts with the version before
-KNOWN_N, UNKNOWN = 150, 5.0  # insertions of an object after which that mean is known, and least tolerated before
+KNOWN_N, UNKNOWN = 150, 5.0  # insertions of an object after which that mean is known, and the attempts tolerated before
+SOME_N = 30  # insertions after which an object that needs more attempts than that is allowed them
 OBJECTS_N = 32  # whose insertions are counted apart
 FAILED = MAX_ATTEMPTS + 1  # number of attempts that a failure counts as
 SUREST = 0.98  # highest confidence attributed to a version about the end of an attempt
@@ -99,14 +100,14 @@ class Contest(Contract):
     @property
     def tolerates(self) -> float:
         """The mean number of attempts to tolerate of a version that takes over."""
-        mean = TOLERATED * self.attempts_n / self.ended_n if self.ended_n else UNKNOWN
-        return mean if self.ended_n >= KNOWN_N else max(UNKNOWN, mean)
+        return TOLERATED * self.attempts_n / self.ended_n if self.ended_n >= KNOWN_N else UNKNOWN
 
     @property
     def tolerates_of(self) -> dict[str, float]:
-        """The same by object, of those known: objects come in batches, and an unknown one may need more attempts."""
-        known = {of: counted for of, counted in self.by_object.items() if counted[0] >= KNOWN_N}
-        return {of: TOLERATED * attempts_n / ended_n for of, (ended_n, attempts_n) in known.items()}
+        """The same by object: objects come in batches. Of one that is not known yet, `UNKNOWN` at least."""
+        counted = {of: counted for of, counted in self.by_object.items() if counted[0] >= SOME_N}
+        means = {of: (ended_n, TOLERATED * attempts_n / ended_n) for of, (ended_n, attempts_n) in counted.items()}
+        return {of: mean if ended_n >= KNOWN_N else max(UNKNOWN, mean) for of, (ended_n, mean) in means.items()}
 
     def ended(self, attempts: int, of: str) -> Self:
         """An insertion of an object ended after so many attempts, `FAILED` if decisions may have made it fail."""

@@ -67,9 +67,11 @@ def commissioned(path: Path) -> Record:
     """The record of a cell that may insert; raises ContractError for an uncommissioned cell, or named mistakes."""
     record = read_record(path)
     if record is None:
-        raise ContractError(f"{path}: there is no such file; run `commission --live`, or name its whole path")
+        raise ContractError(
+            f"{path}: there is no such file; run `commission --live --config FILE`, or name its whole path"
+        )
     if len(record.signs) < len(SIDES):
-        raise ContractError(f"{path}: this cell was not commissioned to the end; run `commission --live`")
+        raise ContractError(f"{path}: this cell was not commissioned to the end; run `commission --live --config FILE`")
     if named := record.named or mistakes(record.signs):  # it may have been interrupted before they were written
         raise ContractError(f"{path} names mistakes; mend them and commission again: {'; '.join(named)}")
     return record

@@ -55,7 +55,7 @@ def test_the_operator_is_told_that_a_forgotten_part_may_be_why_no_open_gel_is_se
     assert not any(command.kind == "grasp" for command in commands), "what is no open gel is not grasped"
     assert state.reason.startswith("service: open_gel: this is not the gel; the gripper reports no part")
     assert apart in state.reason
-    assert "home --live --direction outward" in state.reason
+    assert "home --live --config FILE --direction outward" in state.reason
 
 
 def test_a_fault_after_the_grasp_says_nothing_of_a_forgotten_part():

@@ -65,8 +65,15 @@ def test_full_depth_is_judged_by_a_pair_no_older_than_150_ms_or_500_ms_since_the
 ) -> None:
     one, newest_ns = decider(), STOPPED_NS + after_stop_ms * MS
     one.grasp.width_mm = 50.0
-    doubts = one.doubts(full_depth(newest_ns), newest_ns + age_ms * MS)
-    assert doubts == (() if new_enough else None)
+    attempt = full_depth(newest_ns, reported_ns=STOPPED_NS)
+    assert one.doubts(attempt, newest_ns + age_ms * MS) == (() if new_enough else None)
+
+
+def test_a_client_that_overstates_how_long_the_arm_stands_makes_no_older_pair_fresh() -> None:
+    one, reported_ns = decider(), STOPPED_NS + 600 * MS
+    one.grasp.width_mm = 50.0
+    attempt = full_depth(reported_ns - 400 * MS, reported_ns=reported_ns)
+    assert one.doubts(attempt, reported_ns) is None
 
 
 def test_full_depth_that_nobody_saw_is_doubted_two_seconds_after_the_arm_stood_and_not_before() -> None:

@@ -66,9 +66,14 @@ def test_why_open_gels_could_not_be_learnt_is_told_and_they_may_be_asked_for_aga
     assert [answer.type for answer in shows(session, 0, 5 * S)] == ["open_learnt"]
 
 
-def test_a_finger_of_which_nothing_is_shown_is_named_and_not_its_gel(session: InsertionSession) -> None:
+@pytest.mark.parametrize("refused_until_ns", [0, S + 1, 3 * S])
+def test_a_finger_of_which_nothing_is_shown_is_named_and_no_gel(
+    session: InsertionSession, refused_until_ns: int
+) -> None:
+    """However the other's is: what its client advises against a strange gel opens the fingers."""
     learn(session, S)
     for at_ns in range(S, 3 * S, PERIOD_NS):
+        session.left.problem = "no markers" if at_ns < refused_until_ns else ""
         assert session.on_frame(TactileFrame("left", 0, at_ns, PIXELS), at_ns) == []
     (fault,) = session.on_tick(3 * S + 1)
     assert (fault.code, fault.fatal) == ("camera_stalled", False)

@@ -4,7 +4,8 @@ import shutil
 
 import pytest
 
-from tests.service.tools.test_judge import record, rows_of
+from service.cameras.recorded import clip_images
+from tests.service.tools.test_judge import record, rows_of, write
 
 
 def test_a_folder_without_videos_beside_the_runs_is_named_and_left_out(tmp_path, capsys):
@@ -28,12 +29,23 @@ def test_a_folder_without_videos_is_named_one_level_down_too_and_one_that_holds_
     assert named.startswith(str(tmp_path / "runs" / "monday" / "empty"))
 
 
-@pytest.mark.parametrize("linked", [True, False])
-def test_one_video_under_both_fingers_names_is_no_run(tmp_path, capsys, linked):
+def test_nothing_else_is_expected_in_a_single_run(tmp_path, capsys):
+    record(tmp_path / "box", (5, 8), 8)
+    (tmp_path / "box" / "masks").mkdir()
+    rows, _ = rows_of(tmp_path / "box", tmp_path / "rows.json")
+    assert (set(rows), "no video" in capsys.readouterr().err) == ({"box"}, False)
+
+
+@pytest.mark.parametrize("how", ["linked", "copied", "cut"])
+def test_one_video_under_both_fingers_names_is_no_run(tmp_path, capsys, how):
     record(tmp_path / "runs" / "box", (5, 8), 8)
     left, right = (tmp_path / "runs" / "box" / f"camera_{name}.avi" for name in (0, 2))
     right.unlink()
-    right.symlink_to(left) if linked else shutil.copy(left, right)
+    right.symlink_to(left) if how == "linked" else shutil.copy(left, right)
+    if how == "cut":
+        frames = [image for image, _ in clip_images(left)]
+        write(left, frames)
+        write(right, frames[:-1])
     rows, returned = rows_of(tmp_path / "runs", tmp_path / "rows.json")
     assert (rows, returned) == ({}, 1)
     assert "box: camera_0 and camera_2 have the same pictures" in capsys.readouterr().err

@@ -41,8 +41,9 @@ def failures(folder: Path, cause: Any, doubted: tuple[Any, ...], undecided: tupl
 
 
 def decided(reason: Any) -> Attempt:
-    """An attempt without frames, answered by no decision for a reason or by "correction"."""
-    attempt = Attempt(arm(), armed_ns=0, generation=1)
+    """An attempt without frames, answered by no decision for a reason or by "correction"; "late": of its networks."""
+    attempt = Attempt(arm(), armed_ns=0, generation=1, fed=reason == "late")
+    reason = "stale" if attempt.fed else reason
     if reason == "correction":
         attempt.decision = correction(here=(1.0, 1.0), sigma=(1.0, 1.0), move=(-1.0, -1.0))
     else:
@@ -80,6 +81,7 @@ def test_an_end_that_decisions_can_cause_is_a_failure(tmp_path: Path, cause: str
         (("out_of_distribution", "correction", "stale", "stale", "stale"), 0),
         (("stale", "out_of_distribution", "stale"), 1),
         (("non_finite",) * 3, 1),
+        (("late",) * 3, 1),
         (("low_confidence",) * 3, 1),
     ],
 )

@@ -7,7 +7,18 @@ import pytest
 
 from service.contract import ErrorClass
 from service.decision.evidence import Evidence
-from service.versions.contest import ENOUGH, FAILED, KNOWN_N, STAKES, WORST, Bet, Contest, intervals_hold, log_score
+from service.versions.contest import (
+    ENOUGH,
+    FAILED,
+    KNOWN_N,
+    SOME_N,
+    STAKES,
+    WORST,
+    Bet,
+    Contest,
+    intervals_hold,
+    log_score,
+)
 
 COVERS = 0.9
 Rng = np.random.Generator
@@ -109,26 +120,16 @@ def test_what_turns_after_a_thousand_good_insertions_is_noticed_too() -> None:
     assert insertions_until("previous", 300, rng, contest, attempts=5.0) <= 120
 
 
-def test_a_cell_that_always_took_long_is_not_blamed_on_the_new_version() -> None:
-    contest = Contest()
-    for _ in range(KNOWN_N - 1):
-        contest = contest.ended(6, "box")
-    assert (contest.tolerates, contest.tolerates_of) == (pytest.approx(6.6), {})
-    contest = contest.ended(6, "box")
-    assert contest.tolerates == pytest.approx(6.6)
-    assert contest.tolerates_of == {"box": pytest.approx(6.6)}
-    rng, runs_n = np.random.default_rng(9), 20
-    box = ("box", 6.5, 100)
-    back_n = sum(slowed(promoted_after(box, rng=rng), "box", 6.5, 400, rng) for _ in range(runs_n))
-    assert back_n <= runs_n / ENOUGH, "nor where it was counted for too short a time to be known"
-
-
-def test_few_quick_insertions_let_a_version_take_as_many_attempts_as_of_an_unknown_object() -> None:
-    contest = Contest()
-    for _ in range(KNOWN_N - 1):
-        contest = contest.ended(2, "box")
-    assert (contest.tolerates, contest.tolerates_of) == (5.0, {})
-    assert contest.ended(2, "box").tolerates == pytest.approx(2.2)
+@pytest.mark.parametrize(("attempts", "early"), [(6, {"box": pytest.approx(6.6)}), (2, {"box": 5.0})])
+def test_what_an_object_took_is_tolerated_and_more_before_it_is_known(attempts: int, early: dict[str, float]) -> None:
+    contest, tolerated = Contest(), {}
+    for number in range(1, KNOWN_N + 1):
+        contest = contest.ended(attempts, "box")
+        tolerated[number] = contest.tolerates, contest.tolerates_of
+    assert tolerated[SOME_N - 1] == (5.0, {}), "so few tell too little"
+    assert tolerated[SOME_N] == tolerated[KNOWN_N - 1] == (5.0, early)
+    mean = pytest.approx(1.1 * attempts)
+    assert tolerated[KNOWN_N] == (mean, {"box": mean})
 
 
 def promoted_after(*packed: tuple[str, float, int], rng: Rng) -> Contest:
@@ -147,6 +148,24 @@ def slowed(contest: Contest, of: str, attempts: float, most_n: int, rng: Rng) ->
         if contest.worth("previous") >= ENOUGH:
             return True
     return False
+
+
+@pytest.mark.parametrize("quick_n", [0, 40, 140])
+def test_an_object_that_always_took_long_is_not_blamed_on_the_new_version_whatever_else_was_packed(
+    quick_n: int,
+) -> None:
+    rng, runs_n = np.random.default_rng(9), 20
+    packed = [("box", 6.5, 100), *([("hexagon", 1.8, quick_n)] if quick_n else [])]
+    back_n = sum(slowed(promoted_after(*packed, rng=rng), "box", 6.5, 400, rng) for _ in range(runs_n))
+    assert back_n <= runs_n / ENOUGH
+
+
+def test_a_version_that_takes_over_after_a_failure_may_not_fail_for_ever() -> None:
+    before = Contest().ended(FAILED, "box")
+    after = Contest(tolerated=before.tolerates, tolerated_of=before.tolerates_of)
+    for _ in range(10):
+        after = after.ended(FAILED, "box")
+    assert after.worth("previous") >= ENOUGH
 
 
 @pytest.mark.slow
