@@ -132,8 +132,8 @@ def _ended(client: Child) -> bool:
 
 
 def _entries(folder: Path) -> list[dict[str, Any]]:
-    """Entries of all logs of the insertion: each regrasp begins a new one."""
-    logs = sorted(folder.glob("episode*.jsonl"), key=lambda log: (len(log.name), log.name))
+    """Entries of all logs of the insertion: each regrasp begins one, named by its insertion, thus by its time."""
+    logs = sorted(folder.glob("*.jsonl"), key=lambda log: (log.name != "episode.jsonl", log.name))
     entries = []
     for line in [line for log in logs for line in log.read_text(errors="replace").splitlines()]:
         with contextlib.suppress(json.JSONDecodeError):  # the client died while writing this line

@@ -1,5 +1,6 @@
 """Live insertions with injected faults: the measurements, and that the bounds hold."""
 
+import json
 import shutil
 import socket
 import socketserver
@@ -12,7 +13,7 @@ from simulation.cell.run import RunOptions
 from simulation.studies.motion_bounds import campaign
 from simulation.studies.motion_bounds.campaign import cases
 from simulation.studies.motion_bounds.faults import FAULTS, Fault
-from simulation.studies.motion_bounds.play import _moved_mm, _travel_mm, row_of
+from simulation.studies.motion_bounds.play import _entries, _moved_mm, _travel_mm, row_of
 from simulation.studies.motion_bounds.relay import DRIP_S, Relay
 from simulation.studies.motion_bounds.report import bounds_page
 
@@ -71,6 +72,12 @@ def test_motion_after_the_hold_is_seen():
     creeping = [(ms * MS, 40.0 - 0.001 * ms) for ms in range(2000)]
     assert _moved_mm(TRACE, entries) == pytest.approx(0.0, abs=1e-9)
     assert _moved_mm(creeping, entries) > 1.0
+
+
+def test_a_regrasp_is_part_of_the_insertion_and_its_way_no_motion_after_the_hold(tmp_path):
+    for name, entry in (("20261201-061440-2", "again"), ("episode", "first"), ("20261201-061450-1", "last")):
+        (tmp_path / f"{name}.jsonl").write_text(json.dumps({"name": entry}) + "\n")
+    assert [entry["name"] for entry in _entries(tmp_path)] == ["first", "again", "last"]
 
 
 class Echo(socketserver.BaseRequestHandler):
